@@ -1,0 +1,114 @@
+"""The controller that a practitioner would write from one scan, without learning.
+
+Scan -> centres of the neighbours (``detection``) -> Gabriel graph -> Eq. 8. It sees exactly what the learned policy
+sees, but is told the footprint of the robots.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from triform.control.detection import (
+    MAX_SEGMENTS,
+    ROBOMASTER_EP_SIZE,
+    detect_into,
+    kernel_footprint,
+    ray_directions,
+)
+from triform.geometry.gabriel import gabriel_into
+from triform.types import FloatArray, View, require
+
+
+@njit(cache=True, nogil=True)
+def _spring_command(centres, count, distance, gain, max_speed, out):  # type: ignore[no-untyped-def]
+    """Write Eq. 8 over the Gabriel neighbours of a robot at the origin among ``count`` centres, shape (3,)."""
+    positions = np.zeros((count + 1, 2))
+    positions[1:] = centres[:count]
+    active = np.ones(count + 1, dtype=np.bool_)
+    edges = np.empty((count + 1, count + 1), dtype=np.bool_)
+    gabriel_into(positions, active, np.inf, edges)
+    u_x = u_y = 0.0
+    for j in range(1, count + 1):
+        length = np.hypot(positions[j, 0], positions[j, 1])
+        if edges[0, j] and length > 0.0:
+            pull = gain * (length - distance) / length
+            u_x += pull * positions[j, 0]
+            u_y += pull * positions[j, 1]
+    speed = np.hypot(u_x, u_y)
+    scale = max_speed / speed if speed > max_speed else 1.0
+    out[0], out[1], out[2] = scale * u_x, scale * u_y, 0.0
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _command_worlds(ranges, active, footprint, directions, angle_min, range_max, distance, gain, max_speed, out):  # type: ignore[no-untyped-def]
+    for b in prange(ranges.shape[0]):
+        centres = np.empty((MAX_SEGMENTS, 2))
+        for i in range(ranges.shape[1]):
+            out[b, i] = 0.0
+            if active[b, i]:
+                count = detect_into(ranges[b, i], footprint, directions, angle_min, range_max, centres)
+                _spring_command(centres, count, distance, gain, max_speed, out[b, i])
+
+
+class ScanPipeline:
+    """Model-based ``Controller[View]``: detected centres, Gabriel graph, Eq. 8.
+
+    ``u_i = gain * sum_j (r_ij - d*) e_ij`` over the Gabriel neighbours j among the robots detected in robot i's own
+    scan, with ``e_ij`` the unit vector towards j: a neighbour that is too far attracts. (As printed, Eq. 8 has the
+    opposite sign and repels it.) The command is clipped to ``max_speed`` keeping its direction, and robots do not
+    turn. A robot that sees nobody stands still.
+
+    Args:
+        distance: Desired distance d* between neighbours [m].
+        gain: Gain of Eq. 8 [1/s].
+        max_speed: Largest norm of a command [m/s].
+        footprint: Length and width of the robots' box, or the diameter of a circle [m].
+
+    Raises:
+        ConfigurationError: If a parameter is not positive or a size or gain not finite.
+    """
+
+    def __init__(
+        self,
+        distance: float = 1.0,
+        gain: float = 1.0,
+        max_speed: float = 1.0,
+        footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE,
+    ) -> None:
+        require(0 < distance < np.inf, f"distance is {distance} m; it must be positive and finite")
+        require(0 < gain < np.inf, f"gain is {gain} 1/s; it must be positive and finite")
+        require(max_speed > 0, f"max_speed is {max_speed} m/s; it must be positive")
+        self._footprint = kernel_footprint(footprint)
+        self._law = (float(distance), float(gain), float(max_speed))
+
+    @property
+    def privileged(self) -> bool:
+        """Scans are enough."""
+        return False
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Name and settings, plain JSON values."""
+        half_length, half_width, round_ = self._footprint
+        distance, gain, max_speed = self._law
+        return {
+            "name": "scan-pipeline",
+            "distance": distance,
+            "gain": gain,
+            "max_speed": max_speed,
+            "footprint": {"shape": "circle" if round_ else "box", "length": 2 * half_length, "width": 2 * half_width},
+        }
+
+    def command(self, view: View) -> FloatArray:
+        """Return body twists, shape (B, N, 3)."""
+        scan = view.scans
+        ranges = np.ascontiguousarray(scan.ranges, dtype=np.float64)
+        out = np.empty((*view.active.shape, 3))
+        _command_worlds(
+            ranges, np.ascontiguousarray(view.active), self._footprint, ray_directions(scan),
+            scan.config.angle_min, scan.config.range_max, *self._law, out,
+        )  # fmt: skip
+        return out

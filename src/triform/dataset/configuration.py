@@ -1,0 +1,206 @@
+"""What is collected: everything that decides the bytes of a data set, and the presets."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from typing import Any, TypeVar, get_type_hints
+
+import numpy as np
+
+from triform.dataset.teachers import TEACHERS
+from triform.simulation import ROBOMASTER_EP, Footprint
+from triform.types import ConfigurationError, IntArray, MapConfig, ScanConfig, require
+
+_Dataclass = TypeVar("_Dataclass")
+
+#: First words of the seeds of independent random streams.
+_ROLL_OUT_STARTS, _PLACEMENTS, _SPLIT, _JITTER = range(4)
+
+
+@dataclass(frozen=True)
+class CollectionConfig:
+    """Everything that decides the bytes of a data set.
+
+    The records come in *runs*. Runs ``0 .. runs - 1`` are roll-outs: the teacher drives the team from a random
+    start for ``steps`` records. The later runs are blocks of up to ``block_placements`` random placements, drawn
+    independently like starts, which the teacher only labels. Both are split into training and validation by
+    run, so no validation record has a near twin in training.
+
+    Attributes:
+        robots: Robots in every record, N.
+        distance: Prescribed neighbour distance d* [m].
+        runs: Roll-outs.
+        steps: Records of one roll-out.
+        placements: Random placements.
+        seed: Decides every random number. Starts are drawn from a stream of their own, so they are never those
+            of an evaluation with the same seed.
+        teacher: Who drives and labels, a name in ``TEACHERS``.
+        gain: The teacher's spring gain [1/s].
+        max_speed: The teacher scales longer commands to this speed [m/s]. Commands are recorded like this.
+        speed_limit: The robots follow commands up to this speed [m/s], keeping their direction.
+        step_period: Time from one record of a roll-out to the next, for which a command is held [s].
+        jitter: Standard deviations [m] of normal offsets added to the recorded (not the driven) positions of
+            roll-outs, used in turn from record to record; the teacher labels what is recorded.
+        footprint: Outline of the robots that the scans see.
+        scan: The noiseless, instantaneous scan of every robot.
+        map: The occupancy map made of it.
+        validation_share: Share of the runs held out for validation.
+        block_placements: Placements in one block.
+        shard_runs: Runs in one shard file.
+        group_records: Records in one Parquet row group, the unit that is read.
+    """
+
+    robots: int = 7
+    distance: float = 1.0
+    runs: int = 600
+    steps: int = 1000
+    placements: int = 400_000
+    seed: int = 1
+    teacher: str = "expert-sensed"
+    gain: float = 1.0
+    max_speed: float = 1.0
+    speed_limit: float = 0.5
+    step_period: float = 0.1
+    jitter: tuple[float, ...] = (0.0,)
+    footprint: Footprint = ROBOMASTER_EP
+    scan: ScanConfig = field(default_factory=ScanConfig)
+    map: MapConfig = field(default_factory=MapConfig)
+    validation_share: float = 0.05
+    block_placements: int = 1000
+    shard_runs: int = 10
+    group_records: int = 250
+
+    def __post_init__(self) -> None:
+        least = dict.fromkeys(("robots", "steps", "block_placements", "shard_runs", "group_records"), 1)
+        least |= dict.fromkeys(("runs", "placements", "seed"), 0)
+        for name, minimum in least.items():
+            value = getattr(self, name)
+            require(
+                isinstance(value, int) and value >= minimum,
+                f"{name} is {value}; a whole number of at least {minimum} is needed",
+            )
+        require(self.runs + self.placements > 0, "both runs and placements are 0; there is nothing to collect")
+        for name in ("distance", "gain", "max_speed", "speed_limit", "step_period"):
+            value = getattr(self, name)
+            require(0 < value < np.inf, f"{name} is {value}; it must be positive and finite")
+        require(
+            self.teacher in TEACHERS,
+            f"there is no teacher named {self.teacher!r}; the teachers are {', '.join(sorted(TEACHERS))}",
+        )
+        require(
+            len(self.jitter) > 0 and all(0 <= deviation < np.inf for deviation in self.jitter),
+            f"jitter is {self.jitter}; one or more finite deviations that are not negative are needed",
+        )
+        require(
+            0 <= self.validation_share <= 1,
+            f"validation_share is {self.validation_share}; it must lie in [0, 1]",
+        )
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of random placements."""
+        return -(-self.placements // self.block_placements)
+
+    @property
+    def all_runs(self) -> int:
+        """Roll-outs and blocks of placements together."""
+        return self.runs + self.blocks
+
+    @property
+    def records(self) -> int:
+        """Records in the whole data set."""
+        return self.runs * self.steps + self.placements
+
+    @property
+    def maps(self) -> int:
+        """Maps in the whole data set."""
+        return self.records * self.robots
+
+    @property
+    def shards(self) -> int:
+        """Shard files of the whole data set."""
+        return -(-self.all_runs // self.shard_runs)
+
+    def shard_range(self, shard: int) -> range:
+        """Runs in a shard."""
+        return range(shard * self.shard_runs, min((shard + 1) * self.shard_runs, self.all_runs))
+
+    def is_roll_out(self, run: int) -> bool:
+        """Whether a run is a roll-out rather than a block of random placements."""
+        return run < self.runs
+
+    def run_records(self, run: int) -> int:
+        """Records of a run."""
+        if self.is_roll_out(run):
+            return self.steps
+        return min(self.block_placements, self.placements - (run - self.runs) * self.block_placements)
+
+    def groups(self, run: int) -> list[range]:
+        """Steps of a run in each of its Parquet row groups; no row group holds two runs."""
+        count = self.run_records(run)
+        return [range(begin, min(begin + self.group_records, count)) for begin in range(0, count, self.group_records)]
+
+    @property
+    def roll_out_seed(self) -> int:
+        """Seed of the starts of the roll-outs."""
+        return self._stream_seed(_ROLL_OUT_STARTS)
+
+    @property
+    def placement_seed(self) -> int:
+        """Seed of the random placements."""
+        return self._stream_seed(_PLACEMENTS)
+
+    def jitter_generator(self, run: int) -> np.random.Generator:
+        """Random numbers for the jitter of one roll-out."""
+        return np.random.default_rng(np.random.SeedSequence([self.seed, _JITTER, run]))
+
+    def validation_runs(self) -> IntArray:
+        """Runs held out for validation, ascending: the share of the roll-outs and of the blocks, each rounded."""
+        generator = np.random.default_rng(np.random.SeedSequence([self.seed, _SPLIT]))
+        chosen = [
+            first + generator.permutation(count)[: round(count * self.validation_share)]
+            for first, count in ((0, self.runs), (self.runs, self.blocks))
+        ]
+        return np.sort(np.concatenate(chosen)).astype(np.int64)
+
+    def _stream_seed(self, stream: int) -> int:
+        return int(np.random.SeedSequence([self.seed, stream]).generate_state(1, np.uint64)[0])
+
+    def to_json(self) -> dict[str, Any]:
+        """The configuration as plain JSON values."""
+        return asdict(self) | {"jitter": list(self.jitter)}
+
+
+def config_from_json(values: object) -> CollectionConfig:
+    """Rebuild a configuration from ``CollectionConfig.to_json``.
+
+    Raises:
+        ConfigurationError: If a value is missing, unknown, of the wrong kind or not allowed.
+    """
+    return _build(CollectionConfig, values, "configuration")
+
+
+def _build(kind: type[_Dataclass], values: object, name: str) -> _Dataclass:
+    hints = get_type_hints(kind)
+    expected = {item.name for item in fields(kind)}  # type: ignore[arg-type]
+    if not isinstance(values, dict) or set(values) != expected:
+        raise ConfigurationError(f"{name} must hold exactly the values {', '.join(sorted(expected))}")
+    arguments: dict[str, Any] = {}
+    for key, value in values.items():
+        if is_dataclass(hints[key]):
+            arguments[key] = _build(hints[key], value, f"{name}.{key}")
+        else:
+            arguments[key] = tuple(value) if isinstance(value, list) else value
+    try:
+        return kind(**arguments)
+    except TypeError as error:
+        raise ConfigurationError(f"{name} holds a value of the wrong kind: {error}") from error
+
+
+#: The data set of the paper: 600 roll-outs of 1000 steps and 400,000 random placements of seven robots.
+PAPER = CollectionConfig()
+
+#: A small data set of the same make, collected in seconds.
+QUICK = CollectionConfig(runs=20, steps=100, placements=2000, block_placements=100, shard_runs=5, group_records=50)
+
+PRESETS: dict[str, CollectionConfig] = {"paper": PAPER, "quick": QUICK}

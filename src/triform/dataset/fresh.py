@@ -1,0 +1,275 @@
+"""Fresh demonstrations: states drawn anew for every batch, with the teacher's command for each robot.
+
+A state is a random placement, a placement that the teacher has moved for a random time, or one that it has moved long
+enough to be near equilibrium; the moved ones are jittered, so that the learner also sees how to come back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from triform.control import Teacher, expert_into
+from triform.perception import occupied_into
+from triform.simulation.lidar import cast_world
+from triform.simulation.profiles import ROBOMASTER_EP, Footprint
+from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, require
+
+_SENSING_RANGE = 2.0
+
+
+@dataclass(frozen=True)
+class StateConfig:
+    """Which states are drawn.
+
+    Attributes:
+        robots: Team sizes; one is drawn for each batch.
+        side: Side of the square in which robots are placed [m].
+        min_spacing: Least distance of two centres when placed [m].
+        moved: Share of states that the teacher has moved for up to ``moved_time``.
+        settled: Share of states that it has moved for up to ``settled_time``.
+        moved_time: Longest drive of a moved state [s].
+        settled_time: Longest drive of a settled state [s].
+        moved_jitter: Standard deviations [m], one of which is drawn for a moved state.
+        settled_jitter: The same for settled states.
+        max_speed: Speed limit of the drive [m/s].
+    """
+
+    robots: tuple[int, ...] = tuple(range(4, 14))
+    side: float = 5.0
+    min_spacing: float = 0.45
+    moved: float = 0.4
+    settled: float = 0.3
+    moved_time: float = 8.0
+    settled_time: float = 20.0
+    moved_jitter: tuple[float, ...] = (0.0, 0.02, 0.1)
+    settled_jitter: tuple[float, ...] = (0.0, 0.01, 0.03, 0.05, 0.1)
+    max_speed: float = 0.5
+
+    def __post_init__(self) -> None:
+        require(
+            len(self.robots) > 0 and min(self.robots) >= 1, f"team sizes are {self.robots}; each must be at least 1"
+        )
+        require(
+            self.moved >= 0 and self.settled >= 0 and self.moved + self.settled <= 1,
+            f"shares moved {self.moved} and settled {self.settled} must not be negative nor sum to more than 1",
+        )
+
+
+@dataclass(frozen=True)
+class FreshBatch:
+    """Demonstrations of E records of N robots, flattened to M = E * N maps.
+
+    Attributes:
+        maps: Occupancy maps, uint8, shape (M, H, W).
+        commands: The teacher's body twists [m/s, m/s, rad/s], shape (M, 3).
+        neighbours: The other robots in the body frame (x [m], y [m], 1 if Gabriel neighbour within sensing range),
+            shape (M, N - 1, 3).
+    """
+
+    maps: MapArray
+    commands: FloatArray
+    neighbours: FloatArray
+
+
+@njit(cache=True, nogil=True)
+def _place(rng, side, min_spacing, poses, stack, seen):  # type: ignore[no-untyped-def]
+    """Draw uniform poses until no two are too close and all hang together within the sensing range."""
+    robots = poses.shape[0]
+    while True:
+        fits = True
+        for i in range(robots):
+            poses[i, 0] = rng.random() * side
+            poses[i, 1] = rng.random() * side
+            poses[i, 2] = (2.0 * rng.random() - 1.0) * np.pi
+            for j in range(i):
+                if (poses[i, 0] - poses[j, 0]) ** 2 + (poses[i, 1] - poses[j, 1]) ** 2 < min_spacing**2:
+                    fits = False
+                    break
+            if not fits:
+                break
+        if not fits:
+            continue
+        seen[:] = False
+        seen[0] = True
+        stack[0] = 0
+        top, reached = 1, 0
+        while top > 0:
+            top -= 1
+            i = stack[top]
+            reached += 1
+            for j in range(robots):
+                gap = (poses[i, 0] - poses[j, 0]) ** 2 + (poses[i, 1] - poses[j, 1]) ** 2
+                if not seen[j] and gap <= _SENSING_RANGE**2:
+                    seen[j] = True
+                    stack[top] = j
+                    top += 1
+        if reached == robots:
+            return
+
+
+@njit(cache=True, nogil=True)
+def _drive(poses, active, duration, step, distance, gain, max_speed, sensing_range, graph, twists):  # type: ignore[no-untyped-def]
+    """Let the teacher move the robots for a while; headings stay, as its turn rate is zero."""
+    for _ in range(int(duration / step)):
+        expert_into(poses, active, distance, gain, max_speed, sensing_range, graph, twists)
+        for i in range(poses.shape[0]):
+            cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+            poses[i, 0] += step * (cos * twists[i, 0] - sin * twists[i, 1])
+            poses[i, 1] += step * (sin * twists[i, 0] + cos * twists[i, 1])
+
+
+@njit(cache=True, nogil=True)
+def _draw_records(  # type: ignore[no-untyped-def]
+    rng,
+    side,
+    min_spacing,
+    moved,
+    settled,
+    moved_time,
+    settled_time,
+    moved_jitter,
+    settled_jitter,
+    drive_speed,
+    distance,
+    gain,
+    max_speed,
+    sensing_range,
+    half_length,
+    half_width,
+    is_circle,
+    angle_min,
+    cos_rays,
+    sin_rays,
+    range_min,
+    range_max,
+    cell,
+    min_cells,
+    max_cells,
+    maps,
+    commands,
+    neighbours,
+):
+    records, robots, size = maps.shape[0], maps.shape[1], maps.shape[2]
+    rays = cos_rays.shape[0]
+    poses = np.empty((robots, 3))
+    twists = np.empty((robots, 3))
+    active = np.ones(robots, dtype=np.bool_)
+    graph = np.empty((robots, robots), dtype=np.bool_)
+    stack = np.empty(robots, dtype=np.int64)
+    seen = np.empty(robots, dtype=np.bool_)
+    ranges = np.empty((robots, rays))
+    scratch = np.empty((2, size * size), dtype=np.int32)
+    cells = np.empty(size * size, dtype=np.int32)
+    walls = np.empty((0, 4))
+    pillars = np.empty((0, 3))
+    for e in range(records):
+        _place(rng, side, min_spacing, poses, stack, seen)
+        kind = rng.random()
+        duration, jitter = 0.0, 0.0
+        if kind < moved:
+            duration = rng.random() * moved_time
+            jitter = moved_jitter[int(rng.random() * moved_jitter.shape[0])]
+        elif kind < moved + settled:
+            duration = rng.random() * settled_time
+            jitter = settled_jitter[int(rng.random() * settled_jitter.shape[0])]
+        _drive(poses, active, duration, 0.1, distance, gain, drive_speed, sensing_range, graph, twists)
+        if jitter > 0.0:
+            for i in range(robots):
+                poses[i, 0] += jitter * rng.standard_normal()
+                poses[i, 1] += jitter * rng.standard_normal()
+        expert_into(poses, active, distance, gain, max_speed, sensing_range, graph, twists)
+        commands[e] = twists
+        cast_world(
+            poses,
+            active,
+            half_length,
+            half_width,
+            is_circle,
+            walls,
+            pillars,
+            angle_min,
+            rays,
+            range_min,
+            range_max,
+            ranges,
+        )
+        for i in range(robots):
+            kept = occupied_into(ranges[i], cos_rays, sin_rays, cell, min_cells, max_cells, maps[e, i], scratch, cells)
+            for q in range(kept):
+                maps[e, i, cells[q] // size, cells[q] % size] = 1
+            cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+            slot = 0
+            for j in range(robots):
+                if j != i:
+                    d_x, d_y = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
+                    neighbours[e, i, slot, 0] = cos * d_x + sin * d_y
+                    neighbours[e, i, slot, 1] = -sin * d_x + cos * d_y
+                    neighbours[e, i, slot, 2] = 1.0 if graph[i, j] else 0.0
+                    slot += 1
+
+
+def draw_fresh(
+    rng: np.random.Generator,
+    maps: int,
+    teacher: Teacher,
+    states: StateConfig,
+    scan: ScanConfig,
+    map_config: MapConfig,
+    footprint: Footprint = ROBOMASTER_EP,
+) -> FreshBatch:
+    """Draw a batch of about ``maps`` demonstrations (a whole number of records of one team size).
+
+    Args:
+        rng: Source of all randomness; the batch is a function of its state alone.
+        maps: Maps wanted.
+        teacher: Who labels the states, and who moves the robots before.
+        states: Which states are drawn.
+        scan: The LiDAR.
+        map_config: The occupancy map.
+        footprint: Shape of every robot.
+    """
+    robots = int(rng.choice(np.array(states.robots)))
+    records = max(1, round(maps / robots))
+    size = map_config.size
+    batch_maps = np.zeros((records, robots, size, size), dtype=np.uint8)
+    commands = np.empty((records, robots, 3))
+    neighbours = np.empty((records, robots, robots - 1, 3))
+    angles = scan.angles
+    _draw_records(
+        rng,
+        states.side,
+        states.min_spacing,
+        states.moved,
+        states.settled,
+        states.moved_time,
+        states.settled_time,
+        np.array(states.moved_jitter),
+        np.array(states.settled_jitter),
+        min(states.max_speed, teacher.max_speed),
+        teacher.distance,
+        teacher.gain,
+        teacher.max_speed,
+        teacher.sensing_range,
+        footprint.length / 2,
+        footprint.width / 2,
+        footprint.shape == "circle",
+        scan.angle_min,
+        np.cos(angles),
+        np.sin(angles),
+        scan.range_min,
+        scan.range_max,
+        map_config.cell,
+        map_config.min_cells,
+        map_config.max_cells,
+        batch_maps,
+        commands,
+        neighbours,
+    )
+    return FreshBatch(
+        batch_maps.reshape(-1, size, size),
+        commands.reshape(-1, 3),
+        neighbours.reshape(records * robots, robots - 1, 3),
+    )

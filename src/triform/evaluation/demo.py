@@ -1,0 +1,82 @@
+"""The whole method in one command: nine robots, a policy, a table, a picture and an animation."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from triform.evaluation.animation import animate
+from triform.evaluation.evaluate import describe
+from triform.evaluation.figures import Scene, run_figure
+from triform.evaluation.metrics import measure, summarise
+from triform.evaluation.output import prepare_folder, write_json
+from triform.evaluation.scenario import Scenario, world_seeds
+from triform.evaluation.style import save_figure
+from triform.evaluation.tables import progress_bar, rich_table, summary_rows
+from triform.simulation import starts
+from triform.types import require
+
+
+@dataclass(frozen=True)
+class DemoConfig(Scenario):
+    """Settings of the demonstration.
+
+    Attributes:
+        robots: Number of robots.
+        seed: The start is a function of team size and seed alone.
+        output: Folder for the picture, the animation and the measures.
+    """
+
+    robots: int = 9
+    seed: int = 7
+    output: Path = Path("demo")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.robots >= 1, f"robots is {self.robots}; a team has at least 1 robot")
+        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+
+
+def run_demo(config: DemoConfig, console: Console) -> list[Path]:
+    """Run one team, show its measures and write a picture, an animation and the measures.
+
+    Args:
+        config: What to run and where to put the files.
+        console: Where to show progress, table and paths.
+
+    Returns:
+        The files written: PNG, GIF and JSON.
+
+    Raises:
+        TriformError: The folder cannot be written, or a name in the configuration is unknown.
+    """
+    prepare_folder(config.output)
+    controller = config.make_controller()
+    began = time.perf_counter()
+    poses = starts(config.robots, 1, config.seed)
+    seeds = world_seeds(config.robots, config.seed, 1)
+    with progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps) as advance:
+        trajectory, world = config.run(poses, seeds, controller, advance)
+    table = measure(trajectory, config.distance, min_distance=world.min_distance, collision=world.collided)
+    result = {"robots": config.robots, **summarise(table)}
+    took = time.perf_counter() - began
+    title = f"{config.controller}: {config.duration:g} s simulated in {took:.1f} s"
+    console.print(rich_table(title, *summary_rows([result])))
+
+    scene = Scene(config.robot.footprint, config.surroundings, config.distance)
+    with console.status("drawing"):
+        figure = run_figure(trajectory, scene, f"{config.robots} robots, controller {config.controller}")
+        paths = [
+            save_figure(figure, config.output / "demo.png"),
+            animate(trajectory, scene, config.output / "demo.gif"),
+            write_json(
+                config.output / "demo.json",
+                {"config": describe(config, controller), "wall_seconds": took, "results": [result]},
+            ),
+        ]
+    for path in paths:
+        console.print(f"wrote {path}", soft_wrap=True)
+    return paths

@@ -1,0 +1,227 @@
+"""Dynamic teams: a robot comes or goes during the run, and the others have to make the best of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from rich.console import Console
+
+from triform.evaluation.evaluate import describe
+from triform.evaluation.metrics import RunTable, concatenate, measure, select, summarise
+from triform.evaluation.output import prepare_file, write_json
+from triform.evaluation.rollout import Trajectory, rollout
+from triform.evaluation.scenario import Scenario, batches, world_seeds
+from triform.evaluation.tables import format_value, progress_bar, rich_table, write_parquet
+from triform.simulation import World, sample_addition, starts
+from triform.types import Controller, IntArray, PrivilegedView, require
+
+Change = Literal["addition", "removal"]
+CHANGES: tuple[Change, ...] = ("addition", "removal")
+
+#: When the paper's team changes [s].
+CHANGE_TIME = 21.0
+
+#: Keeps the random streams of worlds and of changes apart from those of ``triform evaluate``.
+_WORLD_STREAM, _CHANGE_STREAM = 2, 3
+
+
+@dataclass(frozen=True)
+class DynamicConfig(Scenario):
+    """Settings of the dynamic-team experiment.
+
+    Attributes:
+        robots: Team size before the change.
+        runs: Runs with an addition, and as many with a removal.
+        seed: A run is a function of team size, seed and index alone.
+        change_time: When a robot comes or goes [s].
+        json: Where to write the summary.
+        parquet: Where to write one row per run.
+    """
+
+    robots: int = 7
+    runs: int = 100
+    seed: int = 7
+    change_time: float = CHANGE_TIME
+    json: Path | None = None
+    parquet: Path | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.robots >= 2, f"robots is {self.robots}; a team that changes has at least 2 robots")
+        require(self.runs >= 1, f"runs is {self.runs}; at least 1 is needed")
+        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        require(
+            0 < self.change_time < self.duration,
+            f"change_time is {self.change_time} s; it must lie within the run of {self.duration} s",
+        )
+
+
+def run_changes(
+    config: DynamicConfig,
+    controller: Controller[PrivilegedView],
+    change: Change,
+    on_step: Callable[[float], None] | None = None,
+) -> tuple[Trajectory, RunTable]:
+    """Run teams in which one robot comes or goes at ``change_time``.
+
+    A robot that comes appears anywhere at least 0.5 m from everybody and within 2 m of somebody; the one that
+    goes is any, with equal probability.
+
+    Args:
+        config: What to run.
+        controller: Its controller.
+        change: Whether a robot comes or goes.
+        on_step: Called with the number of control periods times robots that were just done, for progress.
+
+    Returns:
+        The whole trajectories, in which the record of ``change_time`` shows the changed team, and one row of
+        measures per run.
+    """
+    poses = starts(config.robots, config.runs, config.seed)
+    seeds = world_seeds(config.robots, config.seed, config.runs, _WORLD_STREAM)
+    draws = world_seeds(config.robots, config.seed, config.runs, _CHANGE_STREAM)
+    trajectories, tables = [], []
+    for batch in batches(config.runs, config.robots):
+        work = (batch.stop - batch.start) * config.robots
+        step = (lambda work=work: on_step(work)) if on_step is not None else None
+        world = config.make_world(poses[batch], seeds[batch])
+        before = rollout(world, controller, config.change_time, step)
+        changed = change_teams(world, change, draws[batch])
+        after = rollout(world, controller, config.duration - config.change_time, step)
+        trajectories.append(before.then(after))
+        tables.append(_measure_change(config, before, after, world) | {"changed_robot": changed})
+    table = concatenate(tables)
+    table |= {"run": np.arange(config.runs), "change": np.array([change] * config.runs)}
+    return _join(trajectories), table
+
+
+def change_teams(world: World, change: Change, draws: list[np.random.SeedSequence]) -> IntArray:
+    """Add a robot to, or remove one from, every world, and return which, shape (B,)."""
+    changed = np.empty(len(draws), dtype=np.int64)
+    for index, draw in enumerate(draws):
+        rng = np.random.default_rng(draw)
+        if change == "addition":
+            pose = sample_addition(world.poses[index], world.active[index], rng)
+            changed[index] = world.add_robot(index, pose)
+        else:
+            changed[index] = rng.choice(np.flatnonzero(world.active[index]))
+            world.remove_robot(index, int(changed[index]))
+    return changed
+
+
+def _measure_change(config: DynamicConfig, before: Trajectory, after: Trajectory, world: World) -> RunTable:
+    earlier = measure(before, config.distance)
+    later = measure(after, config.distance, min_distance=world.min_distance, collision=world.collided)
+    return later | {
+        "robots_before": earlier["robots"],
+        "formed_before": earlier["success"],
+        "recovery_time": later["converge_time"] - config.change_time,
+    }
+
+
+def summarise_changes(table: RunTable) -> dict[str, Any]:
+    """Summarise the runs of one kind of change.
+
+    ``recovered`` is the share of runs whose 5 s mean of the formation error is back below 10 % and stays there
+    to the end; ``recovered_connected`` is the same share among the runs in which the pairs within sensing range
+    still connect everybody right after the change: the others are teams that cannot know of each other.
+
+    Args:
+        table: What ``run_changes`` returned.
+
+    Returns:
+        Rates as fractions, times in seconds.
+    """
+    connected = table["connected_start"].astype(np.bool_)
+    whole, together = summarise(table), summarise(select(table, connected))
+    times = table["recovery_time"][np.isfinite(table["recovery_time"])]
+    return {
+        "change": str(table["change"][0]),
+        "robots_before": int(table["robots_before"][0]),
+        "robots_after": int(table["robots"][0]),
+        "runs": whole["runs"],
+        "formed_before": float(table["formed_before"].mean()),
+        "recovered": whole["success"],
+        "recovered_sensed": whole["success_sensed"],
+        "connected": float(connected.mean()),
+        "recovered_connected": together["success"],
+        "recovery_time_median": float(np.median(times)) if len(times) else np.nan,
+        "formation_error_median": whole["formation_error_median"],
+        "min_distance": whole["min_distance"],
+        "collision": whole["collision"],
+    }
+
+
+def run_dynamic(config: DynamicConfig, console: Console) -> dict[str, Any]:
+    """Run additions and removals with a progress bar, keep the results in files and print the table.
+
+    Args:
+        config: What to run and which files to write.
+        console: Where to show progress and table.
+
+    Returns:
+        What is written as JSON.
+
+    Raises:
+        TriformError: A file cannot be written, or a name in the configuration is unknown.
+    """
+    for path in (config.json, config.parquet):
+        if path is not None:
+            prepare_file(path)
+    began = time.perf_counter()
+    controller = config.make_controller()
+    total = len(CHANGES) * config.steps * config.runs * config.robots
+    with progress_bar(console, "changing teams", total) as advance:
+        tables = [run_changes(config, controller, change, advance)[1] for change in CHANGES]
+    summaries = [summarise_changes(table) for table in tables]
+    result = {
+        "config": describe(config, controller),
+        "wall_seconds": round(time.perf_counter() - began, 3),
+        "results": summaries,
+    }
+    console.print(rich_table(f"dynamic team, {config.controller}", *change_rows(summaries)))
+    if config.json is not None:
+        console.print(f"wrote {write_json(config.json, result)}", soft_wrap=True)
+    if config.parquet is not None:
+        console.print(f"wrote {write_parquet(config.parquet, concatenate(tables))}", soft_wrap=True)
+    return result
+
+
+def change_rows(summaries: list[dict[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Return headings and formatted rows of summaries of changes."""
+    columns = (
+        ("runs", "runs", "d"),
+        ("formed before", "formed_before", "%"),
+        ("back", "recovered", "%"),
+        ("linked", "connected", "%"),
+        ("back if linked", "recovered_connected", "%"),
+        ("sensed", "recovered_sensed", "%"),
+        ("recovery time", "recovery_time_median", "s"),
+        ("median error", "formation_error_median", "%%"),
+        ("closest", "min_distance", "m"),
+        ("overlap", "collision", "%"),
+    )
+    headings = ["change", *(heading for heading, _, _ in columns)]
+    rows = [
+        [
+            f"{summary['robots_before']} → {summary['robots_after']}",
+            *(format_value(summary[key], kind) for _, key, kind in columns),
+        ]
+        for summary in summaries
+    ]
+    return headings, rows
+
+
+def _join(trajectories: list[Trajectory]) -> Trajectory:
+    """Put the runs of several batches one after the other; all have the same N and T."""
+    return Trajectory(
+        trajectories[0].time,
+        np.concatenate([part.poses for part in trajectories]),
+        np.concatenate([part.active for part in trajectories]),
+        np.concatenate([part.commands for part in trajectories]),
+    )

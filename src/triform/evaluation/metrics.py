@@ -1,0 +1,185 @@
+"""The measures of one run and their summary over many."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from triform.evaluation.rollout import Trajectory
+from triform.geometry import assess, edge_error
+from triform.types import BoolArray, FloatArray, require
+
+#: Errors are averaged over this long [s]; so no run counts as converged before it.
+WINDOW = 5.0
+#: A formation is right while its mean relative edge error is below this.
+TOLERANCE = 0.1
+#: How far a robot senses [m]; longer edges do not count for ``success_sensed``.
+SENSING_RANGE = 2.0
+
+#: One column per measure, one row per run.
+RunTable = dict[str, NDArray[Any]]
+
+
+def trailing_mean(series: FloatArray, time: FloatArray, window: float = WINDOW) -> FloatArray:
+    """Mean over the latest ``window`` seconds, at every record.
+
+    The window ending at t holds the records in (t - window, t]: at 10 Hz and 5 s, fifty of them.
+
+    Args:
+        series: Values at evenly spaced records, shape (..., T).
+        time: Time of the records [s], shape (T,).
+        window: Length of the window [s].
+
+    Returns:
+        Means, shape (..., T); ``NaN`` as long as less than one window has passed, and where a value is ``NaN``.
+
+    Raises:
+        ConfigurationError: The records span less than one window.
+    """
+    period = (time[-1] - time[0]) / (len(time) - 1) if len(time) > 1 else np.inf
+    span = round(window / period)
+    require(
+        1 <= span < len(time),
+        f"the run lasts {time[-1] - time[0]:g} s; it is measured over windows of {window:g} s, "
+        "so it must last at least that long",
+    )
+    windows = np.lib.stride_tricks.sliding_window_view(series[..., 1:], span, axis=-1)
+    means = np.full(series.shape, np.nan)
+    means[..., span:] = windows.mean(axis=-1)
+    return means
+
+
+def converge_time(series: FloatArray, time: FloatArray, tolerance: float = TOLERANCE) -> FloatArray:
+    """First time from which the 5 s mean of the error stays below ``tolerance`` to the end.
+
+    Args:
+        series: Relative edge error ``E_g / d*``, shape (..., T).
+        time: Time of the records since the start [s], shape (T,).
+        tolerance: Largest error of a converged formation, exclusive.
+
+    Returns:
+        Times [s], shape (...); never below 5 s after the first record, ``NaN`` for runs that end unconverged.
+    """
+    below = trailing_mean(series, time) < tolerance
+    last_above = below.shape[-1] - 1 - np.argmax(~below[..., ::-1], axis=-1)
+    # The first 5 s have no mean and never count as below, so last_above always exists.
+    first = np.minimum(last_above + 1, below.shape[-1] - 1)
+    return np.where(below[..., -1], time[first], np.nan)
+
+
+def measure(
+    trajectory: Trajectory,
+    distance: float = 1.0,
+    sensing_range: float = SENSING_RANGE,
+    min_distance: FloatArray | None = None,
+    collision: BoolArray | None = None,
+) -> RunTable:
+    """Measure every run of a trajectory .
+
+    The graph G is the Gabriel graph of all robots; ``*_sensed`` restricts it to pairs within ``sensing_range``.
+    A run whose graph has no edge at some moment of its last 5 s, such as that of a single robot, has a
+    ``formation_error`` of ``NaN`` and is no success.
+
+    Args:
+        trajectory: B runs of at least 5 s.
+        distance: Prescribed neighbour distance d* [m].
+        sensing_range: How far a robot senses [m].
+        min_distance: Smallest distance between two robots [m], shape (B,), where the team keeps watch between
+            records; by default the smallest one recorded, infinite where there are not two robots.
+        collision: Whether two footprints ever overlapped, shape (B,), where the team knows; no by default.
+
+    Returns:
+        A table with one row per run.
+
+    Raises:
+        ConfigurationError: The trajectory is shorter than 5 s, or ``distance`` is not positive.
+    """
+    positions, active, time = trajectory.positions, trajectory.active, trajectory.time
+    full = edge_error(positions, distance, np.inf, active)
+    sensed = edge_error(positions, distance, sensing_range, active)
+    formation_error = trailing_mean(full, time)[..., -1]
+    formation_error_sensed = trailing_mean(sensed, time)[..., -1]
+    start = assess(positions[:, 0], distance, sensing_range, active[:, 0])
+    end = assess(positions[:, -1], distance, np.inf, active[:, -1])
+    end_sensed = assess(positions[:, -1], distance, sensing_range, active[:, -1])
+    runs = len(positions)
+    return {
+        "robots": active[:, -1].sum(axis=-1),
+        "formation_error": formation_error,
+        "formation_error_sensed": formation_error_sensed,
+        "success": formation_error < TOLERANCE,
+        "success_sensed": formation_error_sensed < TOLERANCE,
+        "converge_time": converge_time(full, time),
+        "strict": end.strict,
+        "compactness": end.compactness,
+        "edges": end.edges,
+        "connected_start": start.connected,
+        "connected_end": end_sensed.connected,
+        "min_distance": closest(trajectory) if min_distance is None else np.array(min_distance),
+        "collision": np.zeros(runs, dtype=np.bool_) if collision is None else np.array(collision),
+    }
+
+
+def closest(trajectory: Trajectory) -> FloatArray:
+    """Smallest recorded distance between two robots of each run [m], shape (B,); infinite without a pair."""
+    smallest = np.full(len(trajectory.poses), np.inf)
+    robots = trajectory.poses.shape[2]
+    for i in range(robots):
+        for j in range(i):
+            apart = np.linalg.norm(trajectory.positions[:, :, i] - trajectory.positions[:, :, j], axis=-1)
+            both = trajectory.active[:, :, i] & trajectory.active[:, :, j]
+            smallest = np.minimum(smallest, np.where(both, apart, np.inf).min(axis=1))
+    return smallest
+
+
+def summarise(table: RunTable) -> dict[str, Any]:
+    """Summarise runs of one team size: rates and errors as fractions, times in seconds.
+
+    Converge time is summarised over the runs that converged; ``NaN`` stands for what no run defines.
+
+    Args:
+        table: What ``measure`` returned.
+
+    Returns:
+        ``runs`` and its measures.
+    """
+    error, time = table["formation_error"], table["converge_time"]
+    return {
+        "runs": len(error),
+        "success": _mean(table["success"]),
+        "success_sensed": _mean(table["success_sensed"]),
+        "strict": _mean(table["strict"]),
+        "formation_error_median": _quantile(error, 0.5),
+        "formation_error_p95": _quantile(error, 0.95),
+        "converge_time_median": _quantile(time, 0.5),
+        "compactness_mean": _mean(table["compactness"]),
+        "connected_end": _mean(table["connected_end"]),
+        "min_distance": float(np.min(table["min_distance"], initial=np.inf)),
+        "collision": _mean(table["collision"]),
+    }
+
+
+def select(table: RunTable, rows: BoolArray) -> RunTable:
+    """Return the given rows of a table."""
+    return {name: column[rows] for name, column in table.items()}
+
+
+def concatenate(tables: list[RunTable]) -> RunTable:
+    """Return the rows of several tables with the same columns, in order."""
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+
+
+def _defined(values: NDArray[Any]) -> FloatArray:
+    return np.asarray(values[np.isfinite(values)], dtype=np.float64)
+
+
+def _mean(values: NDArray[Any]) -> float:
+    defined = _defined(values)
+    return float(defined.mean()) if len(defined) else np.nan
+
+
+def _quantile(values: NDArray[Any], share: float) -> float:
+    defined = _defined(values)
+    return float(np.quantile(defined, share)) if len(defined) else np.nan

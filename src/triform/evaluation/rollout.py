@@ -1,0 +1,152 @@
+"""Algorithm 2: every robot, at every control period, senses, decides and moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, Team, View, require
+
+ViewT = TypeVar("ViewT", bound=View)
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What happened in B runs, recorded once per control period.
+
+    Attributes:
+        time: Time of every record since the start of the run [s], shape (T,).
+        poses: True poses (x, y, heading) in the world frame [m, m, rad], shape (B, T, N, 3); ``NaN`` where
+            a robot does not exist.
+        active: Which robots exist, shape (B, T, N).
+        commands: Body twists held from each record to the next [m/s, m/s, rad/s], shape (B, T - 1, N, 3).
+    """
+
+    time: FloatArray
+    poses: FloatArray
+    active: BoolArray
+    commands: FloatArray
+
+    @property
+    def positions(self) -> FloatArray:
+        """Positions in the world frame [m], shape (B, T, N, 2)."""
+        return self.poses[..., :2]
+
+    @property
+    def period(self) -> float:
+        """Time between two records [s]."""
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+    def run(self, index: int) -> Trajectory:
+        """Return run ``index`` alone, with B = 1."""
+        one = slice(index, index + 1)
+        return Trajectory(self.time, self.poses[one], self.active[one], self.commands[one])
+
+    def since(self, time: float) -> Trajectory:
+        """Return the records from ``time`` [s] on."""
+        first = int(np.searchsorted(self.time, time - 1e-6))
+        return Trajectory(self.time[first:], self.poses[:, first:], self.active[:, first:], self.commands[:, first:])
+
+    def then(self, later: Trajectory) -> Trajectory:
+        """Return this trajectory followed by ``later``, whose first record replaces this one's last.
+
+        The two may differ in N: robots that came later are absent from the earlier records.
+        """
+        robots = max(self.poses.shape[2], later.poses.shape[2])
+        return Trajectory(
+            np.concatenate([self.time[:-1], later.time]),
+            np.concatenate([_widen(self.poses[:, :-1], robots, np.nan), _widen(later.poses, robots, np.nan)], axis=1),
+            np.concatenate([_widen(self.active[:, :-1], robots, False), _widen(later.active, robots, False)], axis=1),
+            np.concatenate([_widen(self.commands, robots, 0.0), _widen(later.commands, robots, 0.0)], axis=1),
+        )
+
+
+def control(
+    team: Team[ViewT],
+    controller: Controller[ViewT],
+    duration: float,
+    on_step: Callable[[ViewT, FloatArray], None] | None = None,
+) -> None:
+    """Drive any team with any controller: the loop of Algorithm 2.
+
+    Args:
+        team: The body: the built-in world, a simulator, or one real robot.
+        controller: What turns a view into body twists.
+        duration: How long to drive [s]; a whole number of control periods.
+        on_step: Called once per control period with the view and the commands, before they are applied.
+
+    Raises:
+        ConfigurationError: ``duration`` is not a positive whole number of control periods.
+    """
+    for _ in range(control_steps(duration, team.control_period)):
+        view = team.observe()
+        commands = controller.command(view)
+        if on_step is not None:
+            on_step(view, commands)
+        team.apply(commands, team.control_period)
+
+
+def rollout(
+    team: Team[PrivilegedView],
+    controller: Controller[PrivilegedView],
+    duration: float,
+    on_step: Callable[[], None] | None = None,
+) -> Trajectory:
+    """Drive ``team`` with ``controller`` for ``duration`` seconds and record the true poses.
+
+    The controller sees what its type says and no more; the poses are recorded for the measures.
+
+    Args:
+        team: B worlds of N robots that can tell where its robots really are.
+        controller: Any controller, privileged or not.
+        duration: Length of the run [s]; a whole number of control periods.
+        on_step: Called once per control period, for progress.
+
+    Returns:
+        The trajectory with T = duration / control period + 1 records; the last one follows the last command.
+
+    Raises:
+        ConfigurationError: ``duration`` is not a positive whole number of control periods.
+    """
+    records: list[tuple[float, FloatArray, BoolArray]] = []
+    commands: list[FloatArray] = []
+
+    def record(view: PrivilegedView) -> None:
+        records.append((view.time, np.array(view.poses), np.array(view.active)))
+
+    def record_step(view: PrivilegedView, command: FloatArray) -> None:
+        record(view)
+        commands.append(np.array(command))
+        if on_step is not None:
+            on_step()
+
+    control(team, controller, duration, record_step)
+    record(team.observe())
+    time, poses, active = zip(*records, strict=True)
+    return Trajectory(np.array(time), np.stack(poses, axis=1), np.stack(active, axis=1), np.stack(commands, axis=1))
+
+
+def control_steps(duration: float, control_period: float) -> int:
+    """Return how many control periods [s] make up ``duration`` [s].
+
+    Raises:
+        ConfigurationError: It is not a positive whole number.
+    """
+    steps = round(duration / control_period) if np.isfinite(duration) else 0
+    require(
+        steps >= 1 and abs(steps * control_period - duration) < 1e-6,
+        f"duration is {duration:g} s; it must be a positive whole number of control periods of {control_period:g} s",
+    )
+    return steps
+
+
+def _widen(array: NDArray[Scalar], robots: int, fill: float) -> NDArray[Scalar]:
+    """Append absent robots to the robot axis, the third, until it holds ``robots``."""
+    widths = [(0, 0)] * array.ndim
+    widths[2] = (0, robots - array.shape[2])
+    return np.pad(array, widths, constant_values=fill)

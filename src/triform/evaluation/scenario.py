@@ -1,0 +1,102 @@
+"""What a run is made of: controller, robot profile, arena, distance and duration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from triform.control import make_controller
+from triform.evaluation.rollout import Trajectory, control_steps, rollout
+from triform.simulation import Arena, Profile, World, get_arena, get_profile
+from triform.types import Controller, FloatArray, PrivilegedView, require
+
+#: So many robots are simulated at once: enough to fill a processor, few enough for any memory.
+ROBOTS_AT_ONCE = 2000
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Everything about a run but its start.
+
+    Attributes:
+        controller: Name of the controller.
+        weights: Weights of the policy: a name of shipped ones or a checkpoint; the default ones if omitted.
+        profile: Name of the robot profile.
+        arena: Name of the arena.
+        distance: Prescribed neighbour distance d* [m].
+        duration: Length of every run [s].
+        threads: Threads of the policy; all cores if omitted.
+    """
+
+    controller: str = "policy"
+    weights: str | None = None
+    profile: str = "ideal"
+    arena: str = "open"
+    distance: float = 1.0
+    duration: float = 40.0
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        require(0 < self.distance < np.inf, f"distance is {self.distance} m; it must be positive and finite")
+        require(0 < self.duration < np.inf, f"duration is {self.duration} s; it must be positive and finite")
+
+    @property
+    def robot(self) -> Profile:
+        """The robot profile."""
+        return get_profile(self.profile)
+
+    @property
+    def surroundings(self) -> Arena:
+        """The arena."""
+        return get_arena(self.arena)
+
+    @property
+    def steps(self) -> int:
+        """Control periods in one run."""
+        return control_steps(self.duration, self.robot.control_period)
+
+    def make_controller(self) -> Controller[PrivilegedView]:
+        """Make the controller.
+
+        Raises:
+            TriformError: There is no such controller, or its weights cannot be used.
+        """
+        return make_controller(self.controller, distance=self.distance, weights=self.weights, threads=self.threads)
+
+    def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence], **options: Any) -> World:
+        """Put robots at ``poses`` (B, N, 3) into B worlds with their own noise."""
+        return World(poses, self.robot, self.surroundings, seeds, **options)
+
+    def run(
+        self,
+        poses: FloatArray,
+        seeds: list[np.random.SeedSequence],
+        controller: Controller[PrivilegedView] | None = None,
+        on_step: Callable[[], None] | None = None,
+    ) -> tuple[Trajectory, World]:
+        """Run B worlds from ``poses`` (B, N, 3) and return what happened and the worlds as they ended."""
+        world = self.make_world(poses, seeds)
+        trajectory = rollout(world, controller or self.make_controller(), self.duration, on_step)
+        return trajectory, world
+
+
+def world_seeds(robots: int, seed: int, runs: int, purpose: int = 1) -> list[np.random.SeedSequence]:
+    """Return one seed per run for its noise; a function of (robots, seed, index) alone, like the starts.
+
+    Args:
+        robots: Number of robots N.
+        seed: Seed of the whole evaluation.
+        runs: Number of runs.
+        purpose: Keeps streams for different uses apart; the starts themselves use none.
+    """
+    return [np.random.SeedSequence([robots, seed, index, purpose]) for index in range(runs)]
+
+
+def batches(runs: int, robots: int, robots_at_once: int = ROBOTS_AT_ONCE) -> Iterator[slice]:
+    """Split runs of ``robots`` robots each into slices that hold at most ``robots_at_once``, or one run."""
+    size = max(1, robots_at_once // max(1, robots))
+    for first in range(0, runs, size):
+        yield slice(first, min(first + size, runs))

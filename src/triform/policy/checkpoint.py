@@ -1,0 +1,110 @@
+"""Policies on disk: a folder with ``model.safetensors``, ``model.json`` and, once exported, ``model.onnx``.
+
+``model.json`` carries what a policy cannot run without: the network's shape and the scan and map that it was trained
+with. Nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from triform.policy.config import NetworkConfig
+from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig, TriformError, require
+
+_FORMAT = "triform-policy"
+_VERSION = 1
+WEIGHTS_FILE = "model.safetensors"
+SPEC_FILE = "model.json"
+ONNX_FILE = "model.onnx"
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """What a policy is and what it was trained with.
+
+    Attributes:
+        network: Shape of the network.
+        scan: The LiDAR of its training.
+        map: The occupancy map of its training.
+        distance: Prescribed neighbour distance d* of its training [m].
+        training: How it was trained, for the record: preset, teacher, seed, maps.
+    """
+
+    network: NetworkConfig
+    scan: ScanConfig
+    map: MapConfig
+    distance: float = 1.0
+    training: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require(
+            self.network.fits(self.map),
+            f"the network reads maps of {self.network.map_size} cells, the map configuration has {self.map.size}",
+        )
+
+    def check_scan(self, scan: Scan) -> None:
+        """Refuse scans that make other maps than those of the training.
+
+        What enters the network is the map, so the range must be that of the training, and neighbouring rays at
+        that range must lie no more than a cell apart; given that, their number is free.
+
+        Raises:
+            ConfigurationError: If the scan does not fit.
+        """
+        given = scan.config
+        if given.range_max != self.scan.range_max:
+            raise ConfigurationError(
+                f"the policy was trained with a sensing range of {self.scan.range_max} m; "
+                f"this scan has range_max {given.range_max} m"
+            )
+        if given.angle_increment * given.range_max > self.map.cell and given.rays < self.scan.rays:
+            raise ConfigurationError(
+                f"the policy was trained with {self.scan.rays} rays and cells of {self.map.cell} m; this scan has "
+                f"{given.rays} rays, which lie more than a cell apart at {given.range_max} m"
+            )
+
+    def to_json(self) -> str:
+        """Serialise to JSON."""
+        return json.dumps({"format": _FORMAT, "version": _VERSION, **asdict(self)}, indent=2) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, source: str) -> PolicySpec:
+        """Read what ``to_json`` wrote; ``source`` names it in errors.
+
+        Raises:
+            TriformError: If the text is not a policy's description.
+        """
+        try:
+            data = json.loads(text)
+            if data.pop("format") != _FORMAT:
+                raise TriformError(f"{source} does not describe a triform policy")
+            version = data.pop("version")
+            if version != _VERSION:
+                raise TriformError(f"{source} has format version {version}; this release reads version {_VERSION}")
+            return cls(
+                network=NetworkConfig(**data.pop("network")),
+                scan=ScanConfig(**data.pop("scan")),
+                map=MapConfig(**data.pop("map")),
+                **data,
+            )
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            if isinstance(error, TriformError):
+                raise
+            raise TriformError(f"{source} is not a readable policy description: {error}") from error
+
+
+def read_spec(folder: Path) -> PolicySpec:
+    """Read the description of the policy in ``folder``.
+
+    Raises:
+        TriformError: If there is none or it cannot be read.
+    """
+    path = folder / SPEC_FILE
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TriformError(f"{folder} holds no policy: cannot read {path}: {error}") from error
+    return PolicySpec.from_json(text, str(path))

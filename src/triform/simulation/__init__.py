@@ -1,0 +1,63 @@
+"""The built-in world: robots, their LiDARs and bases, and the place they move in."""
+
+from __future__ import annotations
+
+from triform.simulation.arena import ARENAS, Arena, get_arena
+from triform.simulation.kinematics import (
+    advance_pose,
+    integrate,
+    limit_twists,
+    steer,
+    twist_from_wheels,
+    wheel_speeds,
+)
+from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
+from triform.simulation.profiles import (
+    HARDWARE,
+    IDEAL,
+    PROFILES,
+    ROBOMASTER_EP,
+    Drive,
+    Footprint,
+    LidarConfig,
+    NoiseBand,
+    Profile,
+    constant_noise,
+    get_profile,
+)
+from triform.simulation.spawning import load_starts, sample_addition, square_side, starts
+from triform.simulation.world import World
+
+__all__ = [
+    "ARENAS",
+    "HARDWARE",
+    "IDEAL",
+    "PROFILES",
+    "ROBOMASTER_EP",
+    "Arena",
+    "Drive",
+    "Footprint",
+    "LidarConfig",
+    "NoiseBand",
+    "Profile",
+    "World",
+    "advance_pose",
+    "angle_offsets",
+    "apply_noise",
+    "cast_rolling",
+    "cast_scans",
+    "cast_world",
+    "constant_noise",
+    "get_arena",
+    "get_profile",
+    "integrate",
+    "limit_twists",
+    "load_starts",
+    "noise_sigma",
+    "sample_addition",
+    "square_side",
+    "starts",
+    "steer",
+    "twist_from_wheels",
+    "wheel_speeds",
+]

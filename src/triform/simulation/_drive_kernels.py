@@ -1,0 +1,124 @@
+"""Compiled motion of one robot: exact for the drive's limits and lag, whatever the step.
+
+All functions return scalars in tuples, allocate nothing and can be called from other kernels.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numba import njit
+
+_TWO_PI = 2 * math.pi
+
+
+@njit(cache=True, nogil=True)
+def wrap(angle: float) -> float:
+    """Return the same angle in [-pi, pi) [rad]."""
+    turned = angle - _TWO_PI * math.floor((angle + math.pi) / _TWO_PI)
+    # Rounding may leave an angle just below -pi at +pi.
+    return -math.pi if turned >= math.pi else turned
+
+
+@njit(cache=True, nogil=True)
+def advance_pose(
+    x: float, y: float, heading: float, ux: float, uy: float, omega: float, duration: float
+) -> tuple[float, float, float]:
+    """Move a pose by a constant body twist: the exponential map of SE(2).
+
+    The robot runs along an arc whose chord has the direction of the half-way heading and the length of the arc
+    times ``sin(a) / a`` with ``a = omega * duration / 2``.
+    """
+    half = 0.5 * omega * duration
+    chord = duration if half == 0.0 else duration * math.sin(half) / half
+    cos = math.cos(heading + half)
+    sin = math.sin(heading + half)
+    return (
+        x + chord * (cos * ux - sin * uy),
+        y + chord * (sin * ux + cos * uy),
+        wrap(heading + 2 * half),
+    )
+
+
+@njit(cache=True, nogil=True)
+def limit_twist(
+    ux: float, uy: float, omega: float, max_speed: float, max_axis_speed: float, max_turn_rate: float
+) -> tuple[float, float, float]:
+    """Shorten the translation to ``max_speed``, then clip each axis and the turn rate."""
+    speed = math.hypot(ux, uy)
+    if speed > max_speed:
+        ux *= max_speed / speed
+        uy *= max_speed / speed
+    return (
+        min(max(ux, -max_axis_speed), max_axis_speed),
+        min(max(uy, -max_axis_speed), max_axis_speed),
+        min(max(omega, -max_turn_rate), max_turn_rate),
+    )
+
+
+@njit(cache=True, nogil=True)
+def approach(gap: float, limit: float, lag: float, duration: float) -> tuple[float, float]:
+    """Shares of a velocity error ``gap`` that remain at the end and on the mean of ``duration``.
+
+    The velocity follows ``v' = (target - v) / lag`` with ``|v'| <= limit``. Its error keeps its direction: it
+    shrinks at the rate ``limit`` while it is larger than ``limit * lag``, then exponentially; without lag it
+    shrinks at the rate ``limit`` to zero. Both phases are integrated exactly.
+
+    Args:
+        gap: Norm of the error at the beginning [m/s or rad/s].
+        limit: Largest acceleration, ``inf`` for none [m/s^2 or rad/s^2].
+        lag: Time constant, 0 for none [s].
+        duration: Time to advance [s].
+
+    Returns:
+        The error at the end and its mean over ``duration``, both divided by ``gap``.
+    """
+    if gap == 0.0 or (limit == math.inf and lag == 0.0):
+        return 0.0, 0.0
+    left = gap
+    area = 0.0
+    rest = duration
+    if limit != math.inf and gap > limit * lag:
+        ramp = min((gap - limit * lag) / limit, duration)
+        left = gap - limit * ramp
+        area = 0.5 * (gap + left) * ramp
+        rest = duration - ramp
+    if rest > 0.0:
+        if lag == 0.0:
+            left = 0.0
+        else:
+            decay = -math.expm1(-rest / lag)
+            area += left * lag * decay
+            left -= left * decay
+    return left / gap, area / (gap * duration)
+
+
+@njit(cache=True, nogil=True)
+def drive_robot(pose: Any, velocity: Any, target: Any, limits: Any, duration: float) -> None:
+    """Advance one robot's ``pose`` and body ``velocity``, both of shape (3,), in place.
+
+    Args:
+        pose: Pose in the world frame [m, m, rad].
+        velocity: Actual body twist [m/s, m/s, rad/s].
+        target: Limited body twist that the base is steering to [m/s, m/s, rad/s].
+        limits: Largest acceleration [m/s^2], largest turn acceleration [rad/s^2], lag [s].
+        duration: Time to advance [s].
+    """
+    gap_x = velocity[0] - target[0]
+    gap_y = velocity[1] - target[1]
+    gap_turn = velocity[2] - target[2]
+    left, mean = approach(math.hypot(gap_x, gap_y), limits[0], limits[2], duration)
+    left_turn, mean_turn = approach(abs(gap_turn), limits[1], limits[2], duration)
+    pose[0], pose[1], pose[2] = advance_pose(
+        pose[0],
+        pose[1],
+        pose[2],
+        target[0] + mean * gap_x,
+        target[1] + mean * gap_y,
+        target[2] + mean_turn * gap_turn,
+        duration,
+    )
+    velocity[0] = target[0] + left * gap_x
+    velocity[1] = target[1] + left * gap_y
+    velocity[2] = target[2] + left_turn * gap_turn

@@ -1,0 +1,101 @@
+"""The place robots move in: walls and pillars, which LiDARs see and robots can run into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from triform.types import FloatArray, TriformError, require
+
+
+def _table(columns: int) -> FloatArray:
+    return np.zeros((0, columns))
+
+
+@dataclass(frozen=True, eq=False)
+class Arena:
+    """Walls and pillars in the world frame.
+
+    Attributes:
+        name: Name, recorded with results.
+        walls: Segments x1, y1, x2, y2 without thickness, shape (W, 4) [m].
+        pillars: Solid circles x, y, radius, shape (K, 3) [m].
+    """
+
+    name: str = "open"
+    walls: FloatArray = field(default_factory=lambda: _table(4))
+    pillars: FloatArray = field(default_factory=lambda: _table(3))
+
+    def __post_init__(self) -> None:
+        for name, columns in (("walls", 4), ("pillars", 3)):
+            values = np.array(getattr(self, name), dtype=np.float64, order="C")
+            require(
+                values.ndim == 2 and values.shape[1] == columns and bool(np.isfinite(values).all()),
+                f"{name} of shape {values.shape} given; a table of {columns} finite columns is needed",
+            )
+            object.__setattr__(self, name, values)
+        lengths = np.hypot(self.walls[:, 2] - self.walls[:, 0], self.walls[:, 3] - self.walls[:, 1])
+        require(bool((lengths > 0).all()), "a wall has no length; its two ends must differ")
+        require(bool((self.pillars[:, 2] > 0).all()), "a pillar's radius must be positive")
+
+    @classmethod
+    def open(cls) -> Arena:
+        """Return a plane without anything in it."""
+        return cls()
+
+    @classmethod
+    def room(cls, width: float, height: float, center: tuple[float, float] = (0.0, 0.0), name: str = "room") -> Arena:
+        """Return a rectangular room, ``width`` along x times ``height`` along y [m], around ``center``.
+
+        Raises:
+            ConfigurationError: If a side is not positive.
+        """
+        require(width > 0 and height > 0, f"a room of {width} m x {height} m; both sides must be positive")
+        left, right = center[0] - width / 2, center[0] + width / 2
+        low, high = center[1] - height / 2, center[1] + height / 2
+        walls = [
+            [left, low, right, low],
+            [right, low, right, high],
+            [right, high, left, high],
+            [left, high, left, low],
+        ]
+        return cls(name, np.array(walls))
+
+    def with_pillars(self, pillars: ArrayLike, name: str | None = None) -> Arena:
+        """Return this arena with more pillars, rows of x, y, radius [m].
+
+        Raises:
+            ConfigurationError: If a row is malformed.
+        """
+        added = np.asarray(pillars, dtype=np.float64)
+        require(
+            added.ndim == 2 and added.shape[1] == 3,
+            f"pillars of shape {added.shape} given; rows of x, y, radius are needed",
+        )
+        return replace(self, name=name or self.name, pillars=np.concatenate([self.pillars, added]))
+
+
+#: Arenas by name. The start square of the protocol, 5 m wide around the origin, fits into each.
+ARENAS = {
+    arena.name: arena
+    for arena in (
+        Arena.open(),
+        Arena.room(6.0, 6.0, name="room-6"),
+        Arena.room(8.0, 8.0).with_pillars(
+            [[3.0, 3.0, 0.2], [-3.0, 3.0, 0.2], [-3.0, -3.0, 0.2], [3.0, -3.0, 0.2]], name="pillars"
+        ),
+    )
+}
+
+
+def get_arena(name: str) -> Arena:
+    """Return the arena called ``name``.
+
+    Raises:
+        TriformError: If there is no such arena.
+    """
+    if name not in ARENAS:
+        raise TriformError(f"there is no arena {name!r}; known arenas are {', '.join(ARENAS)}")
+    return ARENAS[name]

@@ -1,0 +1,171 @@
+"""Kinematics of an omnidirectional base (Eq. 1-2): wheels, limits, lag and motion.
+
+The base steers its body twist ``v`` to the limited command ``u`` by ``v' = (u - v) / lag`` with ``|v'|``
+bounded, and moves by ``p' = R(heading) v``. Commands, limits and lag act in the body frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from triform.simulation._drive_kernels import advance_pose, drive_robot, limit_twist
+from triform.simulation.profiles import Drive
+from triform.types import FloatArray, require
+
+__all__ = [
+    "HALF_AXES",
+    "WHEEL_RADIUS",
+    "advance_pose",
+    "drive_limits",
+    "integrate",
+    "limit_twists",
+    "steer",
+    "twist_from_wheels",
+    "wheel_speeds",
+]
+
+#: RoboMaster EP: sum of half the wheelbase and half the track [m].
+HALF_AXES = 0.20
+#: RoboMaster EP: divides the rim speeds of ``wheel_speeds`` into wheel rates [m].
+WHEEL_RADIUS = 0.05
+
+
+def wheel_speeds(twists: FloatArray, half_axes: float = HALF_AXES) -> FloatArray:
+    """Return the rim speeds of four mecanum wheels that make ``twists``.
+
+    Args:
+        twists: Body twists (u_x, u_y, omega), shape (..., 3) [m/s, m/s, rad/s].
+        half_axes: Half the wheelbase plus half the track [m].
+
+    Returns:
+        Speeds of front left, front right, rear left, rear right, shape (..., 4) [m/s].
+    """
+    forward, left, turn = np.moveaxis(np.asarray(twists, dtype=np.float64), -1, 0)
+    lever = half_axes * turn
+    wheels = [forward - left - lever, forward + left + lever, forward + left - lever, forward - left + lever]
+    return np.stack(wheels, axis=-1)
+
+
+def twist_from_wheels(speeds: FloatArray, half_axes: float = HALF_AXES) -> FloatArray:
+    """Return the body twists that rim speeds (FL, FR, RL, RR), shape (..., 4) [m/s], make.
+
+    Four wheels and three degrees of freedom: speeds that no twist makes are met in least squares (the wheels slip).
+
+    Returns:
+        Body twists (u_x, u_y, omega), shape (..., 3) [m/s, m/s, rad/s].
+    """
+    front_left, front_right, rear_left, rear_right = np.moveaxis(np.asarray(speeds, dtype=np.float64), -1, 0)
+    return np.stack(
+        [
+            (front_left + front_right + rear_left + rear_right) / 4,
+            (-front_left + front_right + rear_left - rear_right) / 4,
+            (-front_left + front_right - rear_left + rear_right) / (4 * half_axes),
+        ],
+        axis=-1,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _integrate_into(poses: FloatArray, twists: FloatArray, duration: float) -> None:
+    for i in range(poses.shape[0]):
+        poses[i, 0], poses[i, 1], poses[i, 2] = advance_pose(
+            poses[i, 0], poses[i, 1], poses[i, 2], twists[i, 0], twists[i, 1], twists[i, 2], duration
+        )
+
+
+def integrate(poses: FloatArray, twists: FloatArray, duration: float) -> FloatArray:
+    """Move poses by constant body twists, exactly (the exponential map of SE(2)).
+
+    Args:
+        poses: Poses (x, y, heading) in the world frame, shape (..., 3) [m, m, rad].
+        twists: Body twists, same shape [m/s, m/s, rad/s].
+        duration: Time [s].
+
+    Returns:
+        Poses after ``duration``, headings in [-pi, pi).
+
+    Raises:
+        ConfigurationError: If the shapes differ.
+    """
+    moved = np.array(poses, dtype=np.float64, order="C")
+    held = np.ascontiguousarray(twists, dtype=np.float64)
+    _check_pair("poses", moved, "twists", held)
+    _integrate_into(moved.reshape(-1, 3), held.reshape(-1, 3), float(duration))
+    return moved
+
+
+@njit(cache=True, nogil=True)
+def _limit_into(twists: FloatArray, max_speed: float, max_axis_speed: float, max_turn_rate: float) -> None:
+    for i in range(twists.shape[0]):
+        twists[i, 0], twists[i, 1], twists[i, 2] = limit_twist(
+            twists[i, 0], twists[i, 1], twists[i, 2], max_speed, max_axis_speed, max_turn_rate
+        )
+
+
+def limit_twists(twists: FloatArray, drive: Drive) -> FloatArray:
+    """Return ``twists``, shape (..., 3), as the base accepts them.
+
+    The translation is shortened to ``max_speed`` in its own direction; then x and y are each clipped to
+    ``max_axis_speed`` and the turn rate to ``max_turn_rate``.
+    """
+    limited = np.array(twists, dtype=np.float64, order="C")
+    _limit_into(limited.reshape(-1, 3), float(drive.max_speed), float(drive.max_axis_speed), float(drive.max_turn_rate))
+    return limited
+
+
+@njit(cache=True, nogil=True)
+def _steer_into(
+    poses: FloatArray, velocities: FloatArray, targets: FloatArray, limits: FloatArray, duration: float
+) -> None:
+    for i in range(poses.shape[0]):
+        drive_robot(poses[i], velocities[i], targets[i], limits, duration)
+
+
+def steer(
+    poses: FloatArray, velocities: FloatArray, commands: FloatArray, drive: Drive, duration: float
+) -> tuple[FloatArray, FloatArray]:
+    """Advance robots that were given ``commands`` by one integration step.
+
+    Velocities are exact for any step; the pose moves by the exact mean body twist, which under changing
+    velocity and turn rate is accurate to second order in the step.
+
+    Args:
+        poses: Poses in the world frame, shape (..., 3) [m, m, rad].
+        velocities: Actual body twists, same shape [m/s, m/s, rad/s].
+        commands: Commanded body twists, same shape [m/s, m/s, rad/s].
+        drive: Limits and lag.
+        duration: Time to advance, positive [s].
+
+    Returns:
+        Poses and velocities after ``duration``.
+
+    Raises:
+        ConfigurationError: If the shapes differ.
+    """
+    moved = np.array(poses, dtype=np.float64, order="C")
+    reached = np.array(velocities, dtype=np.float64, order="C")
+    targets = limit_twists(commands, drive)
+    _check_pair("poses", moved, "velocities", reached)
+    _check_pair("poses", moved, "commands", targets)
+    _steer_into(
+        moved.reshape(-1, 3),
+        reached.reshape(-1, 3),
+        targets.reshape(-1, 3),
+        drive_limits(drive),
+        float(duration),
+    )
+    return moved, reached
+
+
+def drive_limits(drive: Drive) -> FloatArray:
+    """Return the limits in the order that ``drive_robot`` takes: acceleration, turn acceleration, lag."""
+    return np.array([drive.max_acceleration, drive.max_turn_acceleration, drive.lag], dtype=np.float64)
+
+
+def _check_pair(name: str, values: FloatArray, other_name: str, others: FloatArray) -> None:
+    require(
+        values.shape == others.shape and values.ndim >= 1 and values.shape[-1] == 3,
+        f"{name} of shape {values.shape} and {other_name} of shape {others.shape} given; "
+        "both must have the same shape (..., 3)",
+    )

@@ -1,0 +1,164 @@
+"""LiDAR scans of batched worlds: exact ranges, rolling turns, and the sensor's errors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from triform.simulation._moving_ray_kernels import cast_moving_worlds
+from triform.simulation._ray_kernels import cast_world, cast_worlds
+from triform.simulation._threads import MOVING_RAYS_PER_THREAD, RAYS_PER_THREAD, threads_for
+from triform.simulation.arena import Arena
+from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
+from triform.types import BoolArray, ConfigurationError, FloatArray, ScanConfig
+
+__all__ = ["angle_offsets", "apply_noise", "cast_rolling", "cast_scans", "cast_world", "noise_sigma"]
+
+
+def _check_batch(poses: FloatArray, active: BoolArray) -> None:
+    if poses.ndim != 3 or poses.shape[2] != 3 or active.shape != poses.shape[:2]:
+        raise ConfigurationError(
+            f"poses of shape {poses.shape} and active of shape {active.shape} given; (B, N, 3) and (B, N) are needed"
+        )
+
+
+def cast_scans(
+    poses: FloatArray,
+    active: BoolArray,
+    footprint: Footprint,
+    arena: Arena,
+    config: ScanConfig,
+    offsets: FloatArray | None = None,
+) -> FloatArray:
+    """Return what every robot's LiDAR would measure at one instant, without range noise.
+
+    Args:
+        poses: World-frame poses, shape (B, N, 3) [m, m, rad].
+        active: Which robots exist, shape (B, N); the others are not seen and see nothing.
+        footprint: Outline of every robot; nobody sees its own.
+        arena: Walls and pillars.
+        config: Rays and limits of range.
+        offsets: Errors of the rays' angles, shape (B, N, R) [rad].
+
+    Returns:
+        Ranges, shape (B, N, R) [m]: ``+inf`` beyond ``range_max``, ``-inf`` below ``range_min`` and throughout for
+        a robot whose centre lies inside an obstacle.
+
+    Raises:
+        ConfigurationError: If the shapes do not fit.
+    """
+    if offsets is not None:
+        return cast_rolling(poses, poses, active, footprint, arena, config, offsets)
+    _check_batch(poses, active)
+    ranges = np.empty((*poses.shape[:2], config.rays))
+    with threads_for(ranges.size, RAYS_PER_THREAD):
+        cast_worlds(
+            np.ascontiguousarray(poses, dtype=np.float64),
+            np.ascontiguousarray(active),
+            footprint.half_length,
+            footprint.half_width,
+            footprint.is_circle,
+            arena.walls,
+            arena.pillars,
+            float(config.angle_min),
+            config.rays,
+            float(config.range_min),
+            float(config.range_max),
+            ranges,
+        )
+    return ranges
+
+
+def cast_rolling(
+    start: FloatArray,
+    end: FloatArray,
+    active: BoolArray,
+    footprint: Footprint,
+    arena: Arena,
+    config: ScanConfig,
+    offsets: FloatArray | None = None,
+) -> FloatArray:
+    """Return a turn in which ray k is measured at the share k / R of the way from ``start`` to ``end``.
+
+    Positions move linearly and headings along the shorter turn; everybody, observer and observed, moves.
+
+    Args:
+        start: Poses when ray 0 is measured, shape (B, N, 3) [m, m, rad].
+        end: Poses one turn later, shape (B, N, 3) [m, m, rad].
+        active: Which robots exist, shape (B, N).
+        footprint: Outline of every robot.
+        arena: Walls and pillars.
+        config: Rays and limits of range.
+        offsets: Errors of the rays' angles, shape (B, N, R) [rad].
+
+    Returns:
+        Ranges, shape (B, N, R) [m], as ``cast_scans``.
+
+    Raises:
+        ConfigurationError: If the shapes do not fit.
+    """
+    _check_batch(start, active)
+    _check_batch(end, active)
+    shape = (*start.shape[:2], config.rays)
+    errors = np.zeros(shape) if offsets is None else np.ascontiguousarray(offsets, dtype=np.float64)
+    if errors.shape != shape:
+        raise ConfigurationError(f"angle offsets of shape {errors.shape} given; {shape} is needed")
+    ranges = np.full(shape, np.inf)
+    with threads_for(ranges.size, MOVING_RAYS_PER_THREAD):
+        cast_moving_worlds(
+            np.ascontiguousarray(start, dtype=np.float64),
+            np.ascontiguousarray(end, dtype=np.float64),
+            np.ascontiguousarray(active),
+            footprint.half_length,
+            footprint.half_width,
+            footprint.is_circle,
+            arena.walls,
+            arena.pillars,
+            float(config.angle_min),
+            errors,
+            0.0 if start is end else 1.0 / config.rays,
+            float(config.range_min),
+            float(config.range_max),
+            ranges,
+        )
+    return ranges
+
+
+def noise_sigma(ranges: FloatArray, noise: tuple[NoiseBand, ...]) -> FloatArray:
+    """Return the standard deviation of the range noise at true ``ranges`` [m], 0 where there is no return."""
+    finite = np.isfinite(ranges)
+    if not noise:
+        return np.zeros(ranges.shape)
+    distance = np.where(finite, ranges, 0.0)
+    band = np.searchsorted([each.up_to for each in noise], distance)
+    absolute = np.array([each.absolute for each in noise])[band]
+    relative = np.array([each.relative for each in noise])[band]
+    return np.where(finite, absolute + relative * distance, 0.0)
+
+
+def angle_offsets(shape: tuple[int, ...], lidar: LidarConfig, rng: np.random.Generator) -> FloatArray:
+    """Return errors of the rays' angles [rad], shape ``shape``, to cast with."""
+    if lidar.angle_noise == 0.0:
+        return np.zeros(shape)
+    return rng.normal(0.0, lidar.angle_noise, shape)
+
+
+def apply_noise(ranges: FloatArray, lidar: LidarConfig, rng: np.random.Generator) -> FloatArray:
+    """Return ``ranges`` with Gaussian range noise and dropped rays; angle noise belongs into the casting.
+
+    Args:
+        ranges: Exact ranges, shape (..., R) [m].
+        lidar: The sensor.
+        rng: Source of randomness.
+
+    Returns:
+        Measured ranges: what the noise carries beyond a limit of range becomes ``+inf`` or ``-inf``, and a share
+        ``dropout`` of all rays ``NaN``.
+    """
+    measured = ranges
+    if lidar.noise:
+        measured = ranges + noise_sigma(ranges, lidar.noise) * rng.standard_normal(ranges.shape)
+        measured[measured > lidar.scan.range_max] = np.inf
+        measured[measured < lidar.scan.range_min] = -np.inf
+    if lidar.dropout > 0.0:
+        measured = np.where(rng.random(ranges.shape) < lidar.dropout, np.nan, measured)
+    return measured

@@ -1,0 +1,237 @@
+"""Robot profiles: what a robot looks like, senses with, drives with, and how fast it thinks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from triform.types import FloatArray, ScanConfig, TriformError, require
+
+
+def _is_positive(value: float) -> bool:
+    return 0 < value < math.inf
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Outline of a robot seen from above, centred on the LiDAR.
+
+    Attributes:
+        shape: ``"box"`` or ``"circle"``.
+        length: Extent along the robot's x axis (forward) [m]; the diameter of a circle.
+        width: Extent along the robot's y axis (left) [m]; the diameter of a circle.
+    """
+
+    shape: Literal["box", "circle"]
+    length: float
+    width: float
+
+    def __post_init__(self) -> None:
+        require(self.shape in ("box", "circle"), f"footprint shape is {self.shape!r}; allowed are box, circle")
+        require(
+            _is_positive(self.length) and _is_positive(self.width),
+            f"footprint is {self.length} m x {self.width} m; both must be positive and finite",
+        )
+        require(
+            self.shape == "box" or self.length == self.width,
+            f"a circle has length = width = diameter, not {self.length} m and {self.width} m",
+        )
+
+    @classmethod
+    def box(cls, length: float, width: float) -> Footprint:
+        """Return a box of ``length`` (forward) times ``width`` (across) [m]."""
+        return cls("box", length, width)
+
+    @classmethod
+    def circle(cls, diameter: float) -> Footprint:
+        """Return a circle of ``diameter`` [m]."""
+        return cls("circle", diameter, diameter)
+
+    @property
+    def is_circle(self) -> bool:
+        """Whether the outline is a circle."""
+        return self.shape == "circle"
+
+    @property
+    def half_length(self) -> float:
+        """Half the length [m]; the radius of a circle."""
+        return self.length / 2
+
+    @property
+    def half_width(self) -> float:
+        """Half the width [m]; the radius of a circle."""
+        return self.width / 2
+
+    @property
+    def circumradius(self) -> float:
+        """Radius of the smallest circle around the centre that holds the footprint [m]."""
+        return self.half_length if self.is_circle else math.hypot(self.half_length, self.half_width)
+
+    @property
+    def corners(self) -> FloatArray:
+        """Corners of the bounding box in the robot's frame, counter-clockwise from front left, (4, 2) [m]."""
+        signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+        return np.asarray(signs * [self.half_length, self.half_width], dtype=np.float64)
+
+
+#: DJI RoboMaster EP.
+ROBOMASTER_EP = Footprint.box(0.320, 0.240)
+
+
+@dataclass(frozen=True)
+class NoiseBand:
+    """Standard deviation of a measured range, up to a distance: ``absolute + relative * range``.
+
+    Attributes:
+        up_to: Largest true range this band speaks about [m]; ``inf`` for the last band.
+        absolute: Constant part [m].
+        relative: Part proportional to the range [1].
+    """
+
+    up_to: float
+    absolute: float = 0.0
+    relative: float = 0.0
+
+    def __post_init__(self) -> None:
+        require(self.up_to > 0, f"a noise band ends at {self.up_to} m; it must be positive")
+        require(
+            0 <= self.absolute < math.inf and 0 <= self.relative < math.inf,
+            f"noise of {self.absolute} m + {self.relative} x range; neither part may be negative or infinite",
+        )
+
+
+@dataclass(frozen=True)
+class LidarConfig:
+    """A LiDAR: the shape of its scan, its errors and its timing.
+
+    Attributes:
+        scan: Rays and limits of range.
+        noise: Gaussian range noise by distance, bands in growing order, the last up to ``inf``; empty means none.
+        angle_noise: Standard deviation of every ray's direction [rad]; the ray is really cast that way.
+        dropout: Share of rays, drawn independently, that return nothing valid (``NaN``).
+        rolling: Whether each ray is measured at its own moment of the turn; otherwise all at the turn's end.
+        period: Time of one turn [s].
+    """
+
+    scan: ScanConfig = field(default_factory=ScanConfig)
+    noise: tuple[NoiseBand, ...] = ()
+    angle_noise: float = 0.0
+    dropout: float = 0.0
+    rolling: bool = False
+    period: float = 0.1
+
+    def __post_init__(self) -> None:
+        ends = [band.up_to for band in self.noise]
+        require(
+            not ends or (ends == sorted(set(ends)) and ends[-1] == math.inf),
+            f"noise bands end at {ends} m; they must grow and the last must reach inf",
+        )
+        require(
+            0 <= self.angle_noise < math.inf,
+            f"angle_noise is {self.angle_noise} rad; it must be finite and not negative",
+        )
+        require(0 <= self.dropout <= 1, f"dropout is {self.dropout}; it is a share between 0 and 1")
+        require(_is_positive(self.period), f"LiDAR period is {self.period} s; it must be positive and finite")
+
+
+def constant_noise(sigma: float) -> tuple[NoiseBand, ...]:
+    """Return range noise with one standard deviation ``sigma`` [m] at every distance."""
+    return (NoiseBand(math.inf, absolute=sigma),)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the base can do with a commanded body twist; ``inf`` means no limit.
+
+    Attributes:
+        max_speed: Largest translational speed [m/s]; faster commands are shortened and keep their direction.
+        max_axis_speed: Largest speed along x and along y [m/s]; each axis is clipped by itself, as the robot's
+            own software does, so that the direction may change.
+        max_turn_rate: Largest turn rate [rad/s].
+        max_acceleration: Largest norm of the translational acceleration [m/s^2].
+        max_turn_acceleration: Largest angular acceleration [rad/s^2].
+        lag: Time constant of the first-order actuator lag [s]; 0 means none.
+    """
+
+    max_speed: float = 0.5
+    max_axis_speed: float = math.inf
+    max_turn_rate: float = math.inf
+    max_acceleration: float = math.inf
+    max_turn_acceleration: float = math.inf
+    lag: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("max_speed", "max_axis_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration"):
+            value = getattr(self, name)
+            require(value > 0, f"{name} is {value}; it must be positive (inf for no limit)")
+        require(0 <= self.lag < math.inf, f"lag is {self.lag} s; it must be finite and not negative")
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A kind of robot.
+
+    Attributes:
+        name: Name, recorded with results.
+        footprint: Outline seen by others' LiDARs and used for overlaps.
+        lidar: Its only sensor.
+        drive: Its base.
+        control_period: Time between two commands [s].
+        latency: Time from a finished scan until a command can use it [s].
+        time_step: Longest integration step [s].
+    """
+
+    name: str
+    footprint: Footprint = ROBOMASTER_EP
+    lidar: LidarConfig = field(default_factory=LidarConfig)
+    drive: Drive = field(default_factory=Drive)
+    control_period: float = 0.1
+    latency: float = 0.0
+    time_step: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("control_period", "time_step"):
+            value = getattr(self, name)
+            require(_is_positive(value), f"{name} is {value} s; it must be positive and finite")
+        require(0 <= self.latency < math.inf, f"latency is {self.latency} s; it must be finite and not negative")
+
+
+IDEAL = Profile("ideal")
+
+#: LDROBOT LD20 on a RoboMaster EP. The data sheet's "+-5 mm to 0.5 m, +-10 mm to 1 m, +-1 % beyond" is read as
+#: two standard deviations: an accuracy figure names a band that nearly all samples (95 %) keep to.
+#: The sheet says nothing about errors of angle (none here), and the lag of 0.1 s is an assumption.
+HARDWARE = Profile(
+    "hardware",
+    lidar=LidarConfig(
+        scan=ScanConfig(rays=667, range_min=0.1),
+        noise=(
+            NoiseBand(0.5, absolute=0.0025),
+            NoiseBand(1.0, absolute=0.005),
+            NoiseBand(math.inf, relative=0.005),
+        ),
+        dropout=0.01,
+        rolling=True,
+        period=1 / 6,
+    ),
+    drive=Drive(max_axis_speed=0.1, max_turn_rate=math.radians(600), lag=0.1),
+    control_period=1 / 8,
+    latency=0.12,
+)
+
+#: Profiles by name.
+PROFILES = {profile.name: profile for profile in (IDEAL, HARDWARE)}
+
+
+def get_profile(name: str) -> Profile:
+    """Return the profile called ``name``.
+
+    Raises:
+        TriformError: If there is no such profile.
+    """
+    if name not in PROFILES:
+        raise TriformError(f"there is no profile {name!r}; known profiles are {', '.join(PROFILES)}")
+    return PROFILES[name]

@@ -1,0 +1,195 @@
+"""Where runs begin: random starts, starts from a file, and places for a robot that joins."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from triform.simulation._spawn_kernels import first_valid, insert_in_turn, linked
+from triform.types import BoolArray, FloatArray, TriformError, require
+
+#: Smallest distance between two centres at the start, and from a robot that joins to the others [m].
+SPACING = 0.5
+#: Pairs within this distance are linked, and the links must connect everybody [m].
+REACH = 2.0
+
+#: Up to this many robots whole placements are drawn until one is valid, which is exactly uniform over the valid
+#: placements. Beyond, hardly any whole placement is valid (about 10 % at 13 robots, 0.01 % at 50).
+_WHOLE_PLACEMENTS = 20
+_ROUNDS = 1000
+_CANDIDATES = 64
+_COLUMNS = ("run", "robot", "x", "y", "heading")
+
+
+def square_side(robots: int) -> float:
+    """Return the side of the square in which ``robots`` robots start [m]."""
+    if robots == 4:
+        return 4.0
+    return 5.0 * math.sqrt(max(robots, 13) / 13)
+
+
+def _positions(robots: int, side: float, rng: np.random.Generator) -> FloatArray | None:
+    """Draw one valid placement, shape (N, 2) [m]; ``None`` if none turned up."""
+    for _ in range(_ROUNDS):
+        if robots <= _WHOLE_PLACEMENTS:
+            candidates = side * (rng.random((_CANDIDATES, robots, 2)) - 0.5)
+            index = first_valid(candidates, SPACING, REACH)
+            if index >= 0:
+                return np.array(candidates[index])
+        else:
+            # One after the other (random sequential addition): each robot is uniform over what its
+            # predecessors leave free.
+            placed = np.empty((robots, 2))
+            single = side * (rng.random((4 * robots, 2)) - 0.5)
+            if insert_in_turn(single, SPACING, placed) == robots and linked(placed, REACH):
+                return placed
+    return None
+
+
+def starts(robots: int, runs: int, seed: int, first: int = 0, side: float | None = None) -> FloatArray:
+    """Return random starts; a start is a function of ``(robots, seed, index)`` (and ``side``) alone.
+
+    Positions are uniform in a square around the origin such that no two centres are closer than 0.5 m and the
+    pairs within 2 m connect everybody; headings are uniform.
+
+    Args:
+        robots: Robots in each run.
+        runs: How many starts.
+        seed: Seed, not negative.
+        first: Index of the first start, so that a set can be made in parts.
+        side: Side of the square [m]; by default 5 m (4 m for 4 robots, 5 sqrt(N / 13) m beyond 13).
+
+    Returns:
+        Poses (x, y, heading), shape (runs, robots, 3) [m, m, rad].
+
+    Raises:
+        ConfigurationError: If a count or the seed is negative, or there is no robot.
+        TriformError: If no valid start turns up because the square is too small or too large.
+    """
+    require(robots >= 1, f"{robots} robots asked for; at least 1 is needed")
+    require(runs >= 0 and seed >= 0 and first >= 0, f"runs {runs}, seed {seed} or first {first} is negative")
+    require(side is None or 0 < side < math.inf, f"side is {side} m; it must be positive and finite")
+    width = square_side(robots) if side is None else side
+    poses = np.empty((runs, robots, 3))
+    for run in range(runs):
+        rng = np.random.default_rng(np.random.SeedSequence([robots, seed, first + run]))
+        positions = _positions(robots, width, rng)
+        if positions is None:
+            raise TriformError(
+                f"no start of {robots} robots found in a square of {width:.2f} m with centres at least "
+                f"{SPACING} m apart and everybody linked within {REACH} m"
+            )
+        poses[run, :, :2] = positions
+        poses[run, :, 2] = rng.uniform(-np.pi, np.pi, robots)
+    return poses
+
+
+def sample_addition(poses: FloatArray, active: BoolArray, rng: np.random.Generator) -> FloatArray:
+    """Return a pose for a robot that joins one world.
+
+    The place is uniform over the points at least 0.5 m from every robot and within 2 m of at least one; the
+    heading is uniform.
+
+    Args:
+        poses: Poses in the world frame, shape (N, 3) [m, m, rad].
+        active: Which robots exist, shape (N,).
+        rng: Source of randomness.
+
+    Returns:
+        Pose, shape (3,).
+
+    Raises:
+        TriformError: If there is no robot to join or no free place.
+    """
+    others = poses[active, :2]
+    if len(others) == 0:
+        raise TriformError("a robot cannot join a world that has no robots: there is nobody to be near to")
+    low, high = others.min(axis=0) - REACH, others.max(axis=0) + REACH
+    for _ in range(_ROUNDS):
+        places = rng.uniform(low, high, (_CANDIDATES, 2))
+        nearest = np.linalg.norm(places[:, None] - others, axis=-1).min(axis=1)
+        valid = np.flatnonzero((nearest >= SPACING) & (nearest <= REACH))
+        if len(valid):
+            return np.array([*places[valid[0]], rng.uniform(-np.pi, np.pi)])
+    raise TriformError(f"no free place for a new robot among {len(others)} robots")
+
+
+def _read_csv(path: Path) -> FloatArray:
+    """Read numbers of a CSV file, with or without the header, shape (rows, 5)."""
+    rows: list[list[float]] = []
+    with path.open(newline="", encoding="utf-8") as file:
+        for line, cells in enumerate(csv.reader(file), start=1):
+            names = [cell.strip() for cell in cells]
+            if not any(names) or (not rows and tuple(names) == _COLUMNS):
+                continue
+            if len(names) != len(_COLUMNS):
+                raise TriformError(f"{path}, line {line}: {len(names)} columns; {', '.join(_COLUMNS)} are needed")
+            for column, cell in zip(_COLUMNS, names, strict=True):
+                try:
+                    float(cell)
+                except ValueError:
+                    raise TriformError(f"{path}, line {line}, column {column}: {cell!r} is not a number") from None
+            rows.append([float(cell) for cell in names])
+    return np.array(rows).reshape(-1, len(_COLUMNS))
+
+
+def _read_npy(path: Path) -> FloatArray:
+    try:
+        values = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise TriformError(f"{path} is not an .npy file of numbers: {error}") from None
+    if values.ndim != 2 or values.shape[1] != len(_COLUMNS) or values.dtype.kind not in "fiu":
+        raise TriformError(
+            f"{path} holds {values.dtype} of shape {values.shape}; rows of {', '.join(_COLUMNS)} are needed"
+        )
+    return np.asarray(values, dtype=np.float64)
+
+
+def load_starts(path: Path) -> list[FloatArray]:
+    """Read explicit starts from ``.npy`` or ``.csv``, rows of run, robot, x, y, heading [m, m, rad].
+
+    Rows may come in any order; the robots of each run must be 0 to N - 1, each once. N may differ between runs.
+
+    Returns:
+        Poses of every run in growing order of its number, each of shape (N, 3).
+
+    Raises:
+        TriformError: If the file cannot be read or a row is malformed; the row and column are named.
+    """
+    path = Path(path)
+    if path.suffix not in (".npy", ".csv"):
+        raise TriformError(f"{path} ends in {path.suffix!r}; starts are read from .npy or .csv")
+    try:
+        table = _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise TriformError(f"{path} cannot be read: {error}") from None
+    if len(table) == 0:
+        raise TriformError(f"{path} holds no starts; rows of {', '.join(_COLUMNS)} are needed")
+    _check_rows(path, table)
+    result = []
+    for run in np.unique(table[:, 0]):
+        rows = table[table[:, 0] == run]
+        rows = rows[np.argsort(rows[:, 1], kind="stable")]
+        if not np.array_equal(rows[:, 1], np.arange(len(rows))):
+            raise TriformError(
+                f"{path}, run {run:.0f}, column robot: robots {[int(robot) for robot in rows[:, 1]]} given; "
+                f"0 to {len(rows) - 1}, each once, are needed"
+            )
+        result.append(np.ascontiguousarray(rows[:, 2:]))
+    return result
+
+
+def _check_rows(path: Path, table: FloatArray) -> None:
+    """Refuse values that are not finite, and runs and robots that are no whole numbers from 0."""
+    for column, name in enumerate(_COLUMNS):
+        values = table[:, column]
+        good = np.isfinite(values)
+        if column < 2:
+            good &= (values >= 0) & (values == np.floor(values))
+        if not good.all():
+            row = int(np.argmin(good))
+            allowed = "a whole number from 0" if column < 2 else "a finite number"
+            raise TriformError(f"{path}, row {row + 1}, column {name}: {values[row]} is not {allowed}")

@@ -1,0 +1,1 @@
+"""Learning: one loop, its presets and its logs."""

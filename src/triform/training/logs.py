@@ -1,0 +1,47 @@
+"""Training logs: JSON lines and TensorBoard."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+with warnings.catch_warnings():
+    # TensorBoard's own imports warn of NumPy and protobuf deprecations that are not ours to mend.
+    warnings.simplefilter("ignore")
+    from torch.utils.tensorboard import SummaryWriter
+
+LOG_FILE = "log.jsonl"
+
+
+class TrainingLog:
+    """Appends scalars to ``log.jsonl`` and to TensorBoard; on resumption drops what comes after the resumed step."""
+
+    def __init__(self, out: Path, step: int) -> None:
+        self._path = out / LOG_FILE
+        kept = []
+        if step > 0 and self._path.exists():
+            kept = [line for line in self._path.read_text().splitlines() if _step_of(line) <= step]
+        self._path.write_text("".join(line + "\n" for line in kept))
+        self._writer = SummaryWriter(str(out / "tensorboard"), purge_step=step + 1)
+
+    def __enter__(self) -> TrainingLog:
+        return self
+
+    def write(self, step: int, scalars: dict[str, float]) -> None:
+        """Record scalars at a step."""
+        with self._path.open("a") as file:
+            file.write(json.dumps({"step": step, **scalars}) + "\n")
+        for name, value in scalars.items():
+            self._writer.add_scalar(name, value, step)
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.close()
+
+
+def _step_of(line: str) -> float:
+    """Step of a log line; a line cut short by a kill comes after every step."""
+    try:
+        return float(json.loads(line)["step"])
+    except (ValueError, KeyError, TypeError):
+        return float("inf")

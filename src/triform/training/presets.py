@@ -1,0 +1,104 @@
+"""Training presets: Algorithm 1 as printed, and the recipe that works."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from triform.dataset.fresh import StateConfig
+from triform.policy import NetworkConfig
+from triform.types import ConfigurationError, MapConfig, ScanConfig, require
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run.
+
+    Attributes:
+        preset: Name under which it is recorded.
+        network: Shape of the network.
+        maps: Maps to train on; ``None`` for one epoch of a stored data set.
+        batch_maps: Maps of a mini-batch, about.
+        optimizer: ``adamw`` or ``rmsprop``.
+        learning_rate: Peak learning rate.
+        schedule: ``cosine`` decays to zero, ``constant`` stays; both after the warm-up.
+        warmup: Steps over which the learning rate grows from zero.
+        weight_decay: Decoupled weight decay (AdamW).
+        clip: Largest gradient norm; 0 leaves gradients alone.
+        loss: ``norm`` is the mean Euclidean norm of the command error, ``mse`` its mean square.
+        auxiliary: Weight of the auxiliary loss on tokens; fresh demonstrations only.
+        teacher: Who labels fresh demonstrations.
+        seed: Seed of weights and data.
+        states: Which fresh states are drawn.
+        scan: The LiDAR.
+        map: The occupancy map.
+    """
+
+    preset: str
+    network: NetworkConfig
+    maps: int | None
+    batch_maps: int = 112
+    optimizer: Literal["adamw", "rmsprop"] = "adamw"
+    learning_rate: float = 3e-3
+    schedule: Literal["cosine", "constant"] = "cosine"
+    warmup: int = 200
+    weight_decay: float = 0.01
+    clip: float = 1.0
+    loss: Literal["norm", "mse"] = "norm"
+    auxiliary: float = 1.0
+    teacher: str = "expert-sensed"
+    seed: int = 1
+    states: StateConfig = field(default_factory=StateConfig)
+    scan: ScanConfig = field(default_factory=ScanConfig)
+    map: MapConfig = field(default_factory=MapConfig)
+
+    def __post_init__(self) -> None:
+        require(self.maps is None or self.maps >= 1, f"maps is {self.maps}; it must be at least 1")
+        require(self.batch_maps >= 1, f"batch_maps is {self.batch_maps}; it must be at least 1")
+        require(self.learning_rate > 0, f"learning_rate is {self.learning_rate}; it must be positive")
+        require(self.warmup >= 0, f"warmup is {self.warmup}; it must not be negative")
+        require(self.clip >= 0, f"clip is {self.clip}; it must not be negative")
+        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        require(self.optimizer in ("adamw", "rmsprop"), f"there is no optimizer {self.optimizer!r}")
+
+    def record(self) -> dict[str, Any]:
+        """What a checkpoint says of its training, plain JSON values."""
+        values = asdict(self)
+        for name in ("network", "scan", "map"):
+            del values[name]
+        values["states"]["robots"] = list(self.states.robots)
+        return values
+
+
+PRESETS = {
+    # The smallest network that loses nothing, see docs/results.md.
+    "default": TrainConfig("default", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=6_000_000),
+    # The paper's network, trained with the recipe that works.
+    "large": TrainConfig("large", NetworkConfig(), maps=2_000_000, learning_rate=1e-3, warmup=500),
+    # Algorithm 1 as printed: RMSprop 0.01, mini-batches of 16 records x 7 robots, one epoch, every patch attended.
+    "paper": TrainConfig(
+        "paper",
+        NetworkConfig(attention="all"),
+        maps=None,
+        optimizer="rmsprop",
+        learning_rate=0.01,
+        schedule="constant",
+        warmup=0,
+        weight_decay=0.0,
+        clip=0.0,
+        loss="mse",
+        auxiliary=0.0,
+        states=StateConfig(robots=(7,)),
+    ),
+}
+
+
+def get_preset(name: str) -> TrainConfig:
+    """Return a preset by name.
+
+    Raises:
+        ConfigurationError: If there is none of that name.
+    """
+    if name not in PRESETS:
+        raise ConfigurationError(f"there is no training preset {name!r}; there are {', '.join(sorted(PRESETS))}")
+    return PRESETS[name]

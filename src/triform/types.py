@@ -1,0 +1,195 @@
+"""Scans, poses, body twists and the two interfaces that carry everything.
+
+Conventions (REP 103, REP 117): metres, seconds, radians; x forward, y left, counter-clockwise positive;
+``+inf`` no return, ``-inf`` too close, ``NaN`` no valid measurement.
+
+Array axes, everywhere: ``B`` worlds, ``N`` robots, ``R`` rays, ``H W`` cells, ``T`` steps, ``P`` patches,
+``D`` embedding. A single robot is the case ``B = N = 1``.
+
+A *pose* is ``(x, y, heading)`` in the world frame [m, m, rad]; a *body twist*, or *command*, is
+``(u_x, u_y, omega)`` in the robot's own frame [m/s, m/s, rad/s].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+#: Occupancy maps: 1 where something is, 0 elsewhere; axis H grows with x (forward), axis W with y (left).
+MapArray = NDArray[np.uint8]
+
+
+class TriformError(Exception):
+    """Something the user gave or the machine did is wrong; the message says what in one sentence."""
+
+
+class ConfigurationError(TriformError, ValueError):
+    """A configuration value is outside what is allowed."""
+
+
+def require(condition: bool, message: str) -> None:
+    """Refuse a configuration: raise ``ConfigurationError(message)`` unless ``condition`` holds."""
+    if not condition:
+        raise ConfigurationError(message)
+
+
+@dataclass(frozen=True)
+class ScanConfig:
+    """Shape of one LiDAR turn, with the names of ``sensor_msgs/LaserScan``.
+
+    Attributes:
+        rays: Number of rays of a full turn, evenly spaced.
+        angle_min: Angle of the first ray in the robot's frame [rad].
+        range_min: Nearer returns are ``-inf`` [m].
+        range_max: Farther returns are ``+inf`` [m].
+    """
+
+    rays: int = 450
+    angle_min: float = -np.pi
+    range_min: float = 0.02
+    range_max: float = 2.0
+
+    def __post_init__(self) -> None:
+        require(self.rays >= 1, f"rays is {self.rays}; at least 1 is needed")
+        require(bool(np.isfinite(self.angle_min)), f"angle_min is {self.angle_min}; it must be finite")
+        require(
+            0 <= self.range_min < self.range_max < np.inf,
+            f"range_min {self.range_min} m and range_max {self.range_max} m must satisfy "
+            "0 <= range_min < range_max < inf",
+        )
+
+    @property
+    def angle_increment(self) -> float:
+        """Angle between neighbouring rays [rad], counter-clockwise."""
+        return 2 * np.pi / self.rays
+
+    @property
+    def angles(self) -> FloatArray:
+        """Angle of every ray in the robot's frame [rad], shape (R,)."""
+        return np.asarray(self.angle_min + self.angle_increment * np.arange(self.rays), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """Occupancy map of Algorithm 3: a square grid with the robot at its centre.
+
+    Attributes:
+        size: Cells along each side.
+        cell: Side of one cell [m].
+        min_cells: Connected groups with fewer cells are noise and dropped.
+        max_cells: Connected groups with more cells are walls and dropped.
+    """
+
+    size: int = 100
+    cell: float = 0.04
+    min_cells: int = 12
+    max_cells: int = 150
+
+    def __post_init__(self) -> None:
+        require(self.size >= 1, f"map size is {self.size} cells; at least 1 is needed")
+        require(0 < self.cell < np.inf, f"cell is {self.cell} m; it must be positive and finite")
+        require(
+            0 <= self.min_cells <= self.max_cells,
+            f"min_cells {self.min_cells} and max_cells {self.max_cells} must satisfy "
+            "0 <= min_cells <= max_cells",
+        )
+
+    @property
+    def half_extent(self) -> float:
+        """Distance from the robot to the map's edge along an axis [m]."""
+        return self.size * self.cell / 2
+
+
+@dataclass(frozen=True)
+class Scan:
+    """LiDAR scans of many robots that share one configuration.
+
+    Attributes:
+        ranges: Measured ranges [m], shape (..., R); REP 117 for what is no range.
+        config: Angles and limits of the scan.
+    """
+
+    ranges: FloatArray
+    config: ScanConfig
+
+    def __post_init__(self) -> None:
+        if self.ranges.ndim < 1 or self.ranges.shape[-1] != self.config.rays:
+            raise ConfigurationError(
+                f"a scan has ranges of shape {self.ranges.shape}; "
+                f"its last axis must hold the {self.config.rays} rays of its configuration"
+            )
+
+
+@dataclass(frozen=True)
+class View:
+    """What a team senses at one moment.
+
+    Attributes:
+        scans: The newest finished scan of every robot, ranges of shape (B, N, R).
+        active: Which robots exist, shape (B, N); the others' scans are ``+inf`` throughout.
+        time: Time since the start of the run [s].
+    """
+
+    scans: Scan
+    active: BoolArray
+    time: float
+
+
+@dataclass(frozen=True)
+class PrivilegedView(View):
+    """A view that also shows what no robot can know: everybody's pose.
+
+    Attributes:
+        poses: True poses (x, y, heading) in the world frame, shape (B, N, 3); ``NaN`` where not active.
+    """
+
+    poses: FloatArray
+
+
+ViewIn = TypeVar("ViewIn", bound=View, contravariant=True)
+ViewOut = TypeVar("ViewOut", bound=View, covariant=True)
+
+
+class Controller(Protocol[ViewIn]):
+    """Turns what is seen into one body twist for every robot.
+
+    ``Controller[View]`` uses scans alone and runs anywhere; ``Controller[PrivilegedView]`` needs true poses,
+    so a type checker refuses it on a team that cannot offer them, and ``privileged`` says it at run time.
+    """
+
+    @property
+    def privileged(self) -> bool:
+        """Whether ``command`` needs a ``PrivilegedView``."""
+        ...
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Name and settings, plain JSON values, recorded with every result."""
+        ...
+
+    def command(self, view: ViewIn) -> FloatArray:
+        """Return body twists, shape (B, N, 3); zero for robots that are not active."""
+        ...
+
+
+class Team(Protocol[ViewOut]):
+    """A body of N robots in B independent worlds: the built-in world, a simulator, or one real robot."""
+
+    @property
+    def control_period(self) -> float:
+        """Time between two commands [s]."""
+        ...
+
+    def observe(self) -> ViewOut:
+        """Return what the team senses now."""
+        ...
+
+    def apply(self, commands: FloatArray, duration: float) -> None:
+        """Hold body twists ``commands``, shape (B, N, 3), for ``duration`` seconds."""
+        ...
