@@ -96,8 +96,7 @@ class MapConfig:
         require(0 < self.cell < np.inf, f"cell is {self.cell} m; it must be positive and finite")
         require(
             0 <= self.min_cells <= self.max_cells,
-            f"min_cells {self.min_cells} and max_cells {self.max_cells} must satisfy "
-            "0 <= min_cells <= max_cells",
+            f"min_cells {self.min_cells} and max_cells {self.max_cells} must satisfy 0 <= min_cells <= max_cells",
         )
 
     @property

@@ -77,7 +77,8 @@ def test_two_separate_triangles_are_not_connected_within_range() -> None:
 
 
 @pytest.mark.parametrize(
-    ("robots", "best"), [(2, 1), (3, 3), (4, 5), (5, 7), (6, 9), (7, 12), (8, 14), (9, 16), (10, 19), (12, 24), (13, 26)]
+    ("robots", "best"),
+    [(2, 1), (3, 3), (4, 5), (5, 7), (6, 9), (7, 12), (8, 14), (9, 16), (10, 19), (12, 24), (13, 26)],
 )
 def test_compactness_counts_against_known_contact_numbers(robots: int, best: int) -> None:
     rng = np.random.default_rng(robots)

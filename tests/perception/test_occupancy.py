@@ -46,9 +46,7 @@ def test_equals_scipy_bit_for_bit_on_any_ranges(data: st.DataObject) -> None:
     scan = ScanConfig(rays=data.draw(st.integers(1, 90)), angle_min=data.draw(st.sampled_from([-np.pi, 0.0, 0.3])))
     config = data.draw(configs)
     ranges = np.array(data.draw(st.lists(wild, min_size=scan.rays, max_size=scan.rays)))
-    np.testing.assert_array_equal(
-        occupancy_maps(Scan(ranges, scan), config), algorithm_3(ranges, scan, config)
-    )
+    np.testing.assert_array_equal(occupancy_maps(Scan(ranges, scan), config), algorithm_3(ranges, scan, config))
 
 
 @settings(deadline=None, max_examples=60)
@@ -63,9 +61,7 @@ def test_equals_scipy_on_scenes_of_arcs_specks_and_walls(seed: int, share_lost: 
     wall = rng.uniform(0.5, 2.0) / np.maximum(np.cos(scan.angles - rng.uniform(-np.pi, np.pi)), 1e-9)
     ranges = np.where((wall <= 2.0) & (rng.random() < 0.5), np.minimum(wall, ranges), ranges)
     ranges[rng.random(scan.rays) < share_lost * rng.random()] = np.nan
-    np.testing.assert_array_equal(
-        occupancy_maps(Scan(ranges, scan), config), algorithm_3(ranges, scan, config)
-    )
+    np.testing.assert_array_equal(occupancy_maps(Scan(ranges, scan), config), algorithm_3(ranges, scan, config))
 
 
 def test_batches_equal_single_scans_and_leave_the_scan_alone() -> None:

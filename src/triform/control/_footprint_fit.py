@@ -1,17 +1,8 @@
 """Kernels that fit a footprint of known size to the points one robot returned.
 
-Everything is in the observer's frame: the LiDAR is the origin. A *footprint* is ``(a, b, round)``: half length,
-half width [m] and whether it is a circle of radius ``a`` instead of an ``a`` by ``b`` box. A *pose* is the
-footprint's ``(x, y, heading)``; the heading of a box is known up to half a turn and that of a circle is not used.
-
-A pose is judged by what it predicts, with two kinds of evidence (``pose_cost``):
-
-* every point lies on a side of the footprint that the observer can see;
-* no ray that went farther passes through the footprint. A ray that stopped before it proves nothing: whoever
-  stopped it may hide part of the footprint.
-
-The search places the footprint at a grid of headings by its extents, keeps the best few and improves them by
-damped Gauss-Newton on the same residuals (``fit_footprint``).
+Footprints, poses and sights are those of ``_footprint_geometry``, and the observer is the origin. The search places
+the footprint at a grid of headings by its extents, keeps the best few by ``pose_cost`` and improves them by damped
+Gauss-Newton on the same residuals.
 """
 
 from __future__ import annotations
@@ -19,10 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-#: A point or ray that disagrees by more than this counts as an outlier and costs no more [m].
-OUTLIER = 0.06
-#: A ray may pass this deep through a footprint before it counts as evidence against it [m].
-DEPTH_SLACK = 0.02
+from triform.control._footprint_geometry import mean_depth, mean_half_width, pose_cost, surface_residual
+
 #: Headings tried per half turn.
 HEADINGS = 18
 #: Best placements that are improved.
@@ -37,108 +26,6 @@ ROBUST_SCALE = 0.03
 #: Weight of a silhouette ray inside and beyond the gap between the last hit and the first miss.
 EDGE_WEIGHT_INSIDE = 0.1
 EDGE_WEIGHT_BEYOND = 1.0
-
-
-@njit(cache=True, nogil=True)
-def surface_residual(x, y, pose, cosine, sine, a, b, round_):  # type: ignore[no-untyped-def]
-    """Where a point lies relative to the nearest visible side.
-
-    Returns:
-        (height over the side, outward normal of the side in the footprint's frame (2), signed distance beyond the
-        end of the side, direction of that excess (2), the point in the footprint's frame (2)).
-    """
-    shift_x, shift_y = x - pose[0], y - pose[1]
-    u = cosine * shift_x + sine * shift_y
-    v = -sine * shift_x + cosine * shift_y
-    if round_:
-        distance = max(np.hypot(u, v), 1e-9)
-        return distance - a, u / distance, v / distance, 0.0, 0.0, 0.0, u, v
-    eye_u = -cosine * pose[0] - sine * pose[1]
-    eye_v = sine * pose[0] - cosine * pose[1]
-    side_u = 1.0 if eye_u > 0 else -1.0
-    side_v = 1.0 if eye_v > 0 else -1.0
-    height_u, beyond_u = side_u * u - a, max(abs(v) - b, 0.0)
-    height_v, beyond_v = side_v * v - b, max(abs(u) - a, 0.0)
-    sees_u, sees_v = abs(eye_u) > a, abs(eye_v) > b
-    if not sees_u and not sees_v:
-        sees_u = sees_v = True
-    nearer_u = height_u * height_u + beyond_u * beyond_u <= height_v * height_v + beyond_v * beyond_v
-    if sees_u and (nearer_u or not sees_v):
-        return height_u, side_u, 0.0, beyond_u, 0.0, 1.0 if v > 0 else -1.0, u, v
-    return height_v, 0.0, side_v, beyond_v, 1.0 if u > 0 else -1.0, 0.0, u, v
-
-
-@njit(cache=True, nogil=True)
-def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):  # type: ignore[no-untyped-def]
-    """Ranges at which a ray from the origin enters and leaves the footprint; entry ``inf`` if it misses."""
-    if round_:
-        along = direction_x * pose[0] + direction_y * pose[1]
-        squared = along * along - (pose[0] * pose[0] + pose[1] * pose[1]) + a * a
-        if squared <= 0.0 or along <= 0.0:
-            return np.inf, np.inf
-        half_chord = np.sqrt(squared)
-        return along - half_chord, along + half_chord
-    origin_u = -cosine * pose[0] - sine * pose[1]
-    origin_v = sine * pose[0] - cosine * pose[1]
-    along_u = cosine * direction_x + sine * direction_y
-    along_v = -sine * direction_x + cosine * direction_y
-    entry, leave = -np.inf, np.inf
-    for origin, along, half in ((origin_u, along_u, a), (origin_v, along_v, b)):
-        if abs(along) < 1e-12:
-            if abs(origin) > half:
-                return np.inf, np.inf
-            continue
-        middle, reach = -origin / along, half / abs(along)
-        entry = max(entry, middle - reach)
-        leave = min(leave, middle + reach)
-    if entry >= leave or leave <= 0.0:
-        return np.inf, np.inf
-    return entry, leave
-
-
-@njit(cache=True, nogil=True)
-def pose_cost(points, count, pose, footprint, ranges, directions, angle_min, range_max):  # type: ignore[no-untyped-def]
-    """Sum of squared disagreements of a pose with points and free rays [m^2], each at most ``OUTLIER`` squared.
-
-    Args:
-        points: The robot's points [m], shape (>= count, 2).
-        count: Number of points.
-        pose: Pose to judge, shape (3,).
-        footprint: (a, b, round).
-        ranges: Clean ranges of the whole scan [m], shape (R,): ``inf`` where free, ``NaN`` where unknown.
-        directions: Unit vectors of the rays, shape (R, 2).
-        angle_min: Angle of the first ray [rad].
-        range_max: Up to where a ray without return is free [m].
-    """
-    a, b, round_ = footprint
-    worst = OUTLIER * OUTLIER
-    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-    cost = 0.0
-    for i in range(count):
-        height, _, _, beyond, _, _, _, _ = surface_residual(
-            points[i, 0], points[i, 1], pose, cosine, sine, a, b, round_
-        )
-        cost += min(height * height + beyond * beyond, worst)
-
-    rays = ranges.shape[0]
-    increment = 2.0 * np.pi / rays
-    radius = a if round_ else np.hypot(a, b)
-    distance = np.hypot(pose[0], pose[1])
-    if distance <= radius:
-        return cost + rays * worst
-    bearing, half_angle = np.arctan2(pose[1], pose[0]), np.arcsin(radius / distance)
-    first = int(np.ceil((bearing - half_angle - angle_min) / increment))
-    last = int(np.floor((bearing + half_angle - angle_min) / increment))
-    for k in range(first, last + 1):
-        ray = k % rays
-        measured = ranges[ray]
-        if np.isnan(measured):
-            continue
-        entry, leave = ray_interval(directions[ray, 0], directions[ray, 1], pose, cosine, sine, a, b, round_)
-        depth = min(measured, range_max, leave) - entry - DEPTH_SLACK
-        if depth > 0.0:
-            cost += min(depth * depth, worst)
-    return cost
 
 
 @njit(cache=True, nogil=True)
@@ -238,25 +125,6 @@ def improve_pose(points, count, edges, pose, footprint, steps):  # type: ignore[
 
 
 @njit(cache=True, nogil=True)
-def mean_depth(a, b, round_):  # type: ignore[no-untyped-def]
-    """How far the centre lies behind the seen surface, averaged over headings and rays [m].
-
-    Half the mean chord of a convex shape, which is pi * area / perimeter (Cauchy, Crofton).
-    """
-    if round_:
-        return np.pi * a / 4.0
-    return np.pi * a * b / (2.0 * (a + b))
-
-
-@njit(cache=True, nogil=True)
-def mean_half_width(a, b, round_):  # type: ignore[no-untyped-def]
-    """Half the width of the silhouette, averaged over headings [m]: perimeter / (2 pi) (Cauchy)."""
-    if round_:
-        return a
-    return 2.0 * (a + b) / np.pi
-
-
-@njit(cache=True, nogil=True)
 def push_centroid(points, count, edges, footprint, pose):  # type: ignore[no-untyped-def]
     """Guess a pose from too few points: the seen surface, pushed outward by the mean depth.
 
@@ -314,9 +182,9 @@ def _keep_best(cost, pose, best_costs, best_poses):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, nogil=True)
-def _search_headings(points, count, edges, footprint, ranges, directions, angle_min, range_max, costs, poses):  # type: ignore[no-untyped-def]
+def _search_headings(points, count, edges, footprint, sight, costs, poses):  # type: ignore[no-untyped-def]
     """Fill ``costs`` and ``poses`` with the best placements over a grid of headings."""
-    a, b, round_ = footprint
+    a, b, _ = footprint
     first_free, last_free = not np.isnan(edges[0, 0]), not np.isnan(edges[1, 0])
     pose, along_u, along_v = np.empty(3), np.empty(2), np.empty(2)
     for step in range(HEADINGS):
@@ -341,12 +209,12 @@ def _search_headings(points, count, edges, footprint, ranges, directions, angle_
                 pose[0] = cosine * along_u[i] - sine * along_v[j]
                 pose[1] = sine * along_u[i] + cosine * along_v[j]
                 pose[2] = heading
-                cost = pose_cost(points, count, pose, footprint, ranges, directions, angle_min, range_max)
+                cost = pose_cost(points, count, pose, footprint, sight)
                 _keep_best(cost, pose, costs, poses)
 
 
 @njit(cache=True, nogil=True)
-def fit_footprint(points, count, edges, footprint, ranges, directions, angle_min, range_max, pose):  # type: ignore[no-untyped-def]
+def fit_footprint(points, count, edges, footprint, sight, pose):  # type: ignore[no-untyped-def]
     """Fit the footprint to the points of one robot.
 
     Args:
@@ -354,10 +222,7 @@ def fit_footprint(points, count, edges, footprint, ranges, directions, angle_min
         count: Number of points, at least 1.
         edges: Silhouette rays, see ``improve_pose``.
         footprint: (a, b, round).
-        ranges: Clean ranges of the scan, see ``pose_cost``.
-        directions: Unit vectors of the rays, shape (R, 2).
-        angle_min: Angle of the first ray [rad].
-        range_max: Up to where a ray without return is free [m].
+        sight: The whole scan.
         pose: Fitted pose to write, shape (3,).
 
     Returns:
@@ -370,19 +235,19 @@ def fit_footprint(points, count, edges, footprint, ranges, directions, angle_min
         poses[0] = pose
         costs[0] = 0.0
     else:
-        _search_headings(points, count, edges, footprint, ranges, directions, angle_min, range_max, costs, poses)
+        _search_headings(points, count, edges, footprint, sight, costs, poses)
     best = np.inf
     for k in range(STARTS):
         if costs[k] == np.inf:
             break
         improve_pose(points, count, edges, poses[k], footprint, STEPS_START)
-        cost = pose_cost(points, count, poses[k], footprint, ranges, directions, angle_min, range_max)
+        cost = pose_cost(points, count, poses[k], footprint, sight)
         if cost < best:
             best = cost
             pose[:] = poses[k]
     poses[0] = pose
     improve_pose(points, count, edges, poses[0], footprint, STEPS_FINAL)
-    cost = pose_cost(points, count, poses[0], footprint, ranges, directions, angle_min, range_max)
+    cost = pose_cost(points, count, poses[0], footprint, sight)
     if cost <= best:
         best = cost
         pose[:] = poses[0]

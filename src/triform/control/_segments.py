@@ -1,6 +1,7 @@
 """Kernels that cut one scan into segments and turn segments into robots.
 
-Everything is in the observer's frame; see ``_footprint_fit`` for footprints, poses and silhouette edges.
+Everything is in the observer's frame; footprints, poses and sights are those of
+``_footprint_geometry``, silhouette edges those of ``_footprint_fit``.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def collect_points(ranges, range_max, directions, clean, rays, points):  # type:
             clean[k] = np.nan
     start = 0
     for i in range(count):
-        if _breaks(clean, directions, rays[i - 1] if i else rays[count - 1], rays[i]):
+        if breaks(clean, directions, rays[i - 1] if i else rays[count - 1], rays[i]):
             start = i
             break
     order = np.roll(rays[:count], -start)
@@ -70,7 +71,7 @@ def collect_points(ranges, range_max, directions, clean, rays, points):  # type:
 
 
 @njit(cache=True, nogil=True)
-def _breaks(clean, directions, ray, other):  # type: ignore[no-untyped-def]
+def breaks(clean, directions, ray, other):  # type: ignore[no-untyped-def]
     """Whether two consecutive points are too far apart for one surface."""
     total = clean.shape[0]
     turn = 2.0 * np.pi / total * ((other - ray) % total)
@@ -82,42 +83,48 @@ def _breaks(clean, directions, ray, other):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def silhouette_edge(clean, ray, previous, direction, angle_min, range_max, edge):  # type: ignore[no-untyped-def]
-    """Write the silhouette edge at one end of a segment: (angle, half gap) [rad], ``NaN`` if it is not the object's own.
+def silhouette_edge(sight, ray, previous, side, edge):  # type: ignore[no-untyped-def]
+    """Write where the silhouette ends beside a segment's end: (angle, half gap) [rad], ``NaN`` if that is not seen.
 
-    The edge is free if the next ray that says anything goes clearly farther. It is hidden if that ray stops nearer,
-    touching if it stops at about the same range, and cut if the surface could simply have left the range.
+    It is seen if the next ray that says anything goes clearly farther. It is not if that ray stops nearer (hidden) or
+    at about the same range (touching), or if the surface could simply have left the range (cut).
 
     Args:
-        clean: Clean ranges [m], shape (R,).
+        sight: The whole scan.
         ray: Ray of the end point.
         previous: Ray of the point before the end, equal to ``ray`` if there is none.
-        direction: +1 for the counter-clockwise end, -1 for the clockwise one.
-        angle_min: Angle of the first ray [rad].
-        range_max: Maximum range [m].
+        side: +1 for the counter-clockwise end, -1 for the clockwise one.
         edge: Result, shape (2,).
     """
+    clean, _, angle_min, range_max = sight
     total = clean.shape[0]
     increment = 2.0 * np.pi / total
     edge[0] = edge[1] = np.nan
     for k in range(1, total):
-        beyond = clean[(ray + direction * k) % total]
+        beyond = clean[(ray + side * k) % total]
         if np.isnan(beyond):
             continue
         slope = max(clean[ray] - clean[previous], 0.0)
         cut = beyond == np.inf and clean[ray] + 1.5 * slope + TOUCHING > range_max
         if beyond > clean[ray] + TOUCHING and not cut:
-            edge[0] = angle_min + increment * (ray + 0.5 * direction * k)
+            edge[0] = angle_min + increment * (ray + 0.5 * side * k)
             edge[1] = 0.5 * increment * k
         return
 
 
 @njit(cache=True, nogil=True)
-def find_edges(clean, rays, first, last, angle_min, range_max, edges):  # type: ignore[no-untyped-def]
+def find_edges(sight, rays, first, last, edges):  # type: ignore[no-untyped-def]
     """Write both silhouette edges of the points from index ``first`` up to before ``last``, shape (2, 2)."""
     inner_first, inner_last = min(first + 1, last - 1), max(last - 2, first)
-    silhouette_edge(clean, rays[first], rays[inner_first], -1, angle_min, range_max, edges[0])
-    silhouette_edge(clean, rays[last - 1], rays[inner_last], 1, angle_min, range_max, edges[1])
+    silhouette_edge(sight, rays[first], rays[inner_first], -1, edges[0])
+    silhouette_edge(sight, rays[last - 1], rays[inner_last], 1, edges[1])
+
+
+@njit(cache=True, nogil=True)
+def longest_span(footprint):  # type: ignore[no-untyped-def]
+    """Return the largest distance between two points of one robot, with slack for noise [m]."""
+    a, b, round_ = footprint
+    return (2.0 * a if round_ else 2.0 * np.hypot(a, b)) + SPAN_SLACK
 
 
 @njit(cache=True, nogil=True)
@@ -169,11 +176,10 @@ def split_index(points, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def fit_segment(points, count, edges, footprint, clean, directions, angle_min, range_max, pose):  # type: ignore[no-untyped-def]
+def fit_segment(points, count, edges, footprint, sight, pose):  # type: ignore[no-untyped-def]
     """Fit the footprint, or guess from too few points; return the root mean cost [m], ``inf`` if no robot."""
-    a, b, round_ = footprint
-    diagonal = 2.0 * a if round_ else 2.0 * np.hypot(a, b)
-    if count < MIN_POINTS or span(points, count) > diagonal + SPAN_SLACK:
+    a, b, _ = footprint
+    if count < MIN_POINTS or span(points, count) > longest_span(footprint):
         return np.inf
     visible = ((edges[1, 0] - edges[0, 0]) % (2.0 * np.pi)) * np.hypot(
         points[:count, 0].mean(), points[:count, 1].mean()
@@ -183,7 +189,7 @@ def fit_segment(points, count, edges, footprint, clean, directions, angle_min, r
     if count < MIN_FITTED:
         push_centroid(points, count, edges, footprint, pose)
         return TOLERANCE
-    return fit_footprint(points, count, edges, footprint, clean, directions, angle_min, range_max, pose)
+    return fit_footprint(points, count, edges, footprint, sight, pose)
 
 
 @njit(cache=True, nogil=True)
@@ -211,10 +217,10 @@ def line_distance(points, count, line):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def find_wall(points, count, diagonal, line):  # type: ignore[no-untyped-def]
+def find_wall(points, count, footprint, line):  # type: ignore[no-untyped-def]
     """Whether a segment is straight and longer than any robot; its line is written to ``line``."""
     chord = np.hypot(points[count - 1, 0] - points[0, 0], points[count - 1, 1] - points[0, 1])
-    return chord > diagonal + SPAN_SLACK and fit_line(points, count, line) < STRAIGHT
+    return chord > longest_span(footprint) and fit_line(points, count, line) < STRAIGHT
 
 
 @njit(cache=True, nogil=True)

@@ -16,13 +16,13 @@ from numba import njit, prange
 from triform.control._footprint_fit import fit_footprint
 from triform.control._segments import (
     MIN_POINTS,
-    SPAN_SLACK,
     TOLERANCE,
-    _breaks,
+    breaks,
     collect_points,
     find_edges,
     find_wall,
     fit_segment,
+    longest_span,
     looks_like_wall,
     span,
     split_index,
@@ -31,112 +31,132 @@ from triform.types import FloatArray, IntArray, Scan, require
 
 #: RoboMaster EP: length and width [m].
 ROBOMASTER_EP_SIZE = (0.320, 0.240)
-#: Segments and robots considered per scan; a scan holds far fewer.
-MAX_SEGMENTS = 128
 
 
 @njit(cache=True, nogil=True)
-def _segment_scan(clean, rays, points, count, footprint, directions, angle_min, range_max, parts, poses, costs, walls):  # type: ignore[no-untyped-def]
-    """Cut the points into parts that each fit one robot.
+def _fit_parts(sight, rays, points, count, footprint, parts, poses, costs, walls):  # type: ignore[no-untyped-def]
+    """Cut the points into parts that each fit one robot, and walls.
 
     Args:
-        parts: Result, first and last (exclusive) point of each part, shape (MAX_SEGMENTS, 2).
-        poses: Result, fitted poses, shape (MAX_SEGMENTS, 3).
-        costs: Result, root mean cost [m]; ``inf`` for fragments too small to be a robot, shape (MAX_SEGMENTS,).
-        walls: Result, lines of walls, shape (MAX_SEGMENTS, 4).
+        sight: The whole scan.
+        rays: Ray of each point, shape (>= count,).
+        points: Points counter-clockwise [m], shape (>= count, 2).
+        count: Number of points.
+        footprint: (a, b, round).
+        parts: Result, first and last (exclusive) point of each part, shape (count + 1, 2).
+        poses: Result, fitted poses, shape (count + 1, 3).
+        costs: Result, root mean cost [m]; ``inf`` for parts with too few points to be a robot, shape (count + 1,).
+        walls: Result, lines of walls, shape (count + 1, 4).
 
     Returns:
         (number of parts, number of walls).
     """
-    a, b, round_ = footprint
-    diagonal = 2.0 * a if round_ else 2.0 * np.hypot(a, b)
-    stack = np.empty((2 * MAX_SEGMENTS, 2), dtype=np.int64)
+    clean, directions, _, _ = sight
+    waiting = np.empty((count + 1, 2), dtype=np.int64)
     edges = np.empty((2, 2))
-    found = wall_count = 0
-    begin = 0
+    found = wall_count = begin = 0
     for end in range(1, count + 1):
-        if end < count and not _breaks(clean, directions, rays[end - 1], rays[end]):
+        if end < count and not breaks(clean, directions, rays[end - 1], rays[end]):
             continue
-        stack[0, 0], stack[0, 1] = begin, end
-        height = 1
+        waiting[0, 0], waiting[0, 1] = begin, end
+        left = 1
         begin = end
-        while height > 0:
-            height -= 1
-            first, last = stack[height]
+        while left > 0:
+            left -= 1
+            first, last = waiting[left]
             size = last - first
             piece = points[first:last]
-            cost = np.inf
-            if size >= MIN_POINTS:
-                find_edges(clean, rays, first, last, angle_min, range_max, edges)
-                cost = fit_segment(piece, size, edges, footprint, clean, directions, angle_min, range_max, poses[found])
+            find_edges(sight, rays, first, last, edges)
+            cost = fit_segment(piece, size, edges, footprint, sight, poses[found])
             if size < MIN_POINTS or cost <= TOLERANCE:
-                if found < MAX_SEGMENTS - 1:
-                    parts[found, 0], parts[found, 1] = first, last
-                    costs[found] = cost
-                    found += 1
+                parts[found, 0], parts[found, 1] = first, last
+                costs[found] = cost
+                found += 1
                 continue
-            if wall_count < MAX_SEGMENTS and find_wall(piece, size, diagonal, walls[wall_count]):
+            if find_wall(piece, size, footprint, walls[wall_count]):
                 wall_count += 1
                 continue
             # What surrounds the observer has no chord to judge it by: halve it.
             surrounds = 3 * ((rays[last - 1] - rays[first]) % clean.shape[0]) > clean.shape[0]
             cut = size // 2 if surrounds else split_index(piece, size)
-            if 0 < cut < size and height + 2 <= stack.shape[0]:
-                stack[height, 0], stack[height, 1] = first + cut, last
-                stack[height + 1, 0], stack[height + 1, 1] = first, first + cut
-                height += 2
+            if 0 < cut < size:
+                waiting[left, 0], waiting[left, 1] = first + cut, last
+                waiting[left + 1, 0], waiting[left + 1, 1] = first, first + cut
+                left += 2
     return found, wall_count
 
 
 @njit(cache=True, nogil=True)
-def _merge_parts(clean, rays, points, count, footprint, directions, angle_min, range_max, parts, poses, costs, found):  # type: ignore[no-untyped-def]
-    """Join parts that one footprint explains together; drop what cannot be a robot beside another one.
+def _reject_walls(sight, rays, points, parts, costs, found, walls, wall_count):  # type: ignore[no-untyped-def]
+    """Empty the parts that may be pieces of walls."""
+    edges = np.empty((2, 2))
+    for i in range(found):
+        first, last = parts[i]
+        if costs[i] == np.inf:
+            continue
+        find_edges(sight, rays, first, last, edges)
+        if looks_like_wall(points[first:last], last - first, edges, walls, wall_count):
+            costs[i] = np.inf
+            parts[i, 0] = parts[i, 1]
 
-    A dropped or absorbed part gets cost ``inf``.
+
+@njit(cache=True, nogil=True)
+def _fit_union(sight, rays, points, part, other, footprint, union, pose):  # type: ignore[no-untyped-def]
+    """Fit one footprint to two parts together; return the root mean cost [m], ``inf`` if they span too much."""
+    total = sight[0].shape[0]
+    ahead = (rays[other[0]] - rays[part[1] - 1]) % total
+    behind = (rays[part[0]] - rays[other[1] - 1]) % total
+    early, late = (part, other) if ahead <= behind else (other, part)
+    start, end = points[early[0]], points[late[1] - 1]
+    if np.hypot(start[0] - end[0], start[1] - end[1]) > longest_span(footprint):
+        return np.inf
+    size = 0
+    for piece in (early, late):
+        for k in range(piece[0], piece[1]):
+            union[size] = points[k]
+            size += 1
+    if span(union, size) > longest_span(footprint):
+        return np.inf
+    edges, inner = np.empty((2, 2)), np.empty((2, 2))
+    find_edges(sight, rays, early[0], early[1], edges)
+    find_edges(sight, rays, late[0], late[1], inner)
+    edges[1] = inner[1]
+    return fit_footprint(union, size, edges, footprint, sight, pose)
+
+
+@njit(cache=True, nogil=True)
+def _join_parts(sight, rays, points, footprint, parts, poses, costs, found):  # type: ignore[no-untyped-def]
+    """Join parts that one footprint explains together.
+
+    The pose and cost of the union stay with the first part, which keeps the points of the larger one; the other is
+    emptied.
     """
-    a, b, round_ = footprint
-    diagonal = 2.0 * a if round_ else 2.0 * np.hypot(a, b)
-    union, edges, outer = np.empty((points.shape[0], 2)), np.empty((2, 2)), np.empty((2, 2))
-    pose = np.empty(3)
+    union, pose = np.empty((points.shape[0], 2)), np.empty(3)
     for i in range(found):
         for j in range(found):
             if i == j or costs[i] == np.inf or parts[j, 0] == parts[j, 1]:
                 continue
-            # Part j follows part i counter-clockwise, or the other way round, whichever gap is smaller.
-            rays_total = clean.shape[0]
-            ahead = (rays[parts[j, 0]] - rays[parts[i, 1] - 1]) % rays_total
-            behind = (rays[parts[i, 0]] - rays[parts[j, 1] - 1]) % rays_total
-            early, late = (i, j) if ahead <= behind else (j, i)
-            size = 0
-            for part in (early, late):
-                for k in range(parts[part, 0], parts[part, 1]):
-                    union[size] = points[k]
-                    size += 1
-            if np.hypot(union[0, 0] - union[size - 1, 0], union[0, 1] - union[size - 1, 1]) > diagonal + SPAN_SLACK:
-                continue
-            if span(union, size) > diagonal + SPAN_SLACK:
-                continue
-            find_edges(clean, rays, parts[early, 0], parts[early, 1], angle_min, range_max, edges)
-            find_edges(clean, rays, parts[late, 0], parts[late, 1], angle_min, range_max, outer)
-            edges[1] = outer[1]
-            cost = fit_footprint(union, size, edges, footprint, clean, directions, angle_min, range_max, pose)
+            cost = _fit_union(sight, rays, points, parts[i], parts[j], footprint, union, pose)
             if cost > TOLERANCE:
                 continue
-            # The union lives on in part i for the output alone: its points stay those of the larger part.
             poses[i] = pose
             costs[i] = cost
             if parts[j, 1] - parts[j, 0] > parts[i, 1] - parts[i, 0]:
                 parts[i] = parts[j]
             costs[j] = np.inf
             parts[j, 0] = parts[j, 1]
-    narrow = 2.0 * b
+
+
+@njit(cache=True, nogil=True)
+def _reject_overlaps(footprint, parts, poses, costs, found):  # type: ignore[no-untyped-def]
+    """Of two robots closer than their narrow side, which cannot be, keep the one with more points."""
+    closest = 2.0 * footprint[1]
     for i in range(found):
         for j in range(found):
             if i == j or costs[i] == np.inf or costs[j] == np.inf:
                 continue
-            if parts[i, 1] - parts[i, 0] < parts[j, 1] - parts[j, 0]:
-                continue
-            if np.hypot(poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]) < narrow:
+            larger = parts[i, 1] - parts[i, 0] >= parts[j, 1] - parts[j, 0]
+            if larger and np.hypot(poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]) < closest:
                 costs[j] = np.inf
 
 
@@ -150,35 +170,33 @@ def detect_into(ranges, footprint, directions, angle_min, range_max, centres):  
         directions: Unit vectors of the rays in the observer's frame, shape (R, 2).
         angle_min: Angle of the first ray [rad].
         range_max: Maximum range [m].
-        centres: Centres to write in the observer's frame [m], shape (M, 2).
+        centres: Centres to write in the observer's frame [m], shape (>= most_robots(R), 2).
 
     Returns:
-        Number of robots, at most M.
+        Number of robots.
     """
     total = ranges.shape[0]
     clean, rays, points = np.empty(total), np.empty(total, dtype=np.int64), np.empty((total, 2))
     count = collect_points(ranges, range_max, directions, clean, rays, points)
-    parts, poses = np.empty((MAX_SEGMENTS, 2), dtype=np.int64), np.empty((MAX_SEGMENTS, 3))
-    costs, walls = np.empty(MAX_SEGMENTS), np.empty((MAX_SEGMENTS, 4))
-    edges = np.empty((2, 2))
-    found, wall_count = _segment_scan(
-        clean, rays, points, count, footprint, directions, angle_min, range_max, parts, poses, costs, walls
-    )
-    for i in range(found):
-        if costs[i] == np.inf:
-            continue
-        first, last = parts[i]
-        find_edges(clean, rays, first, last, angle_min, range_max, edges)
-        if looks_like_wall(points[first:last], last - first, edges, walls, wall_count):
-            costs[i] = np.inf
-            parts[i, 0] = parts[i, 1]
-    _merge_parts(clean, rays, points, count, footprint, directions, angle_min, range_max, parts, poses, costs, found)
+    sight = (clean, directions, angle_min, range_max)
+    parts, poses = np.empty((count + 1, 2), dtype=np.int64), np.empty((count + 1, 3))
+    costs, walls = np.empty(count + 1), np.empty((count + 1, 4))
+    found, wall_count = _fit_parts(sight, rays, points, count, footprint, parts, poses, costs, walls)
+    _reject_walls(sight, rays, points, parts, costs, found, walls, wall_count)
+    _join_parts(sight, rays, points, footprint, parts, poses, costs, found)
+    _reject_overlaps(footprint, parts, poses, costs, found)
     robots = 0
     for i in range(found):
-        if costs[i] < np.inf and robots < centres.shape[0]:
+        if costs[i] < np.inf:
             centres[robots] = poses[i, :2]
             robots += 1
     return robots
+
+
+@njit(cache=True, nogil=True)
+def most_robots(rays):  # type: ignore[no-untyped-def]
+    """Return how many robots a scan of ``rays`` rays can show at most."""
+    return rays // MIN_POINTS
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -232,7 +250,7 @@ def detect_robots(
     """
     shape = kernel_footprint(footprint)
     ranges = np.ascontiguousarray(scan.ranges, dtype=np.float64).reshape(-1, scan.config.rays)
-    centres = np.full((len(ranges), MAX_SEGMENTS, 2), np.nan)
+    centres = np.full((len(ranges), most_robots(scan.config.rays), 2), np.nan)
     counts = np.zeros(len(ranges), dtype=np.int64)
     _detect_scans(ranges, shape, ray_directions(scan), scan.config.angle_min, scan.config.range_max, centres, counts)
     most = int(counts.max(initial=0))

@@ -6,14 +6,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from triform.control.expert import Expert
+from triform.control.expert import SENSING_RANGE, Expert
 from triform.control.learned import LearnedPolicy
 from triform.control.scan_pipeline import ScanPipeline
 from triform.policy import PolicyRuntime
 from triform.types import ConfigurationError, Controller
 
-#: What 2 m of sight leave of the expert.
-SENSING_RANGE = 2.0
 CONTROLLERS = ("policy", "expert", "expert-sensed", "scan-pipeline")
 DEFAULT_WEIGHTS = "default"
 

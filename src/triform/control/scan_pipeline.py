@@ -12,10 +12,10 @@ import numpy as np
 from numba import njit, prange
 
 from triform.control.detection import (
-    MAX_SEGMENTS,
     ROBOMASTER_EP_SIZE,
     detect_into,
     kernel_footprint,
+    most_robots,
     ray_directions,
 )
 from triform.geometry.gabriel import gabriel_into
@@ -45,7 +45,7 @@ def _spring_command(centres, count, distance, gain, max_speed, out):  # type: ig
 @njit(cache=True, nogil=True, parallel=True)
 def _command_worlds(ranges, active, footprint, directions, angle_min, range_max, distance, gain, max_speed, out):  # type: ignore[no-untyped-def]
     for b in prange(ranges.shape[0]):
-        centres = np.empty((MAX_SEGMENTS, 2))
+        centres = np.empty((most_robots(ranges.shape[2]), 2))
         for i in range(ranges.shape[1]):
             out[b, i] = 0.0
             if active[b, i]:
@@ -60,16 +60,9 @@ class ScanPipeline:
     scan, with ``e_ij`` the unit vector towards j: a neighbour that is too far attracts. (As printed, Eq. 8 has the
     opposite sign and repels it.) The command is clipped to ``max_speed`` keeping its direction, and robots do not
     turn. A robot that sees nobody stands still.
-
-    Args:
-        distance: Desired distance d* between neighbours [m].
-        gain: Gain of Eq. 8 [1/s].
-        max_speed: Largest norm of a command [m/s].
-        footprint: Length and width of the robots' box, or the diameter of a circle [m].
-
-    Raises:
-        ConfigurationError: If a parameter is not positive or a size or gain not finite.
     """
+
+    privileged = False
 
     def __init__(
         self,
@@ -78,16 +71,22 @@ class ScanPipeline:
         max_speed: float = 1.0,
         footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE,
     ) -> None:
+        """Make a pipeline.
+
+        Args:
+            distance: Prescribed neighbour distance d* [m].
+            gain: Spring gain [1/s].
+            max_speed: Longer commands are scaled to this speed [m/s], keeping their direction.
+            footprint: Length and width of the robots' box, or the diameter of a circle [m].
+
+        Raises:
+            ConfigurationError: If a value is not positive, or one other than ``max_speed`` not finite.
+        """
         require(0 < distance < np.inf, f"distance is {distance} m; it must be positive and finite")
         require(0 < gain < np.inf, f"gain is {gain} 1/s; it must be positive and finite")
         require(max_speed > 0, f"max_speed is {max_speed} m/s; it must be positive")
         self._footprint = kernel_footprint(footprint)
         self._law = (float(distance), float(gain), float(max_speed))
-
-    @property
-    def privileged(self) -> bool:
-        """Scans are enough."""
-        return False
 
     @property
     def description(self) -> dict[str, Any]:
@@ -103,8 +102,17 @@ class ScanPipeline:
         }
 
     def command(self, view: View) -> FloatArray:
-        """Return body twists, shape (B, N, 3)."""
+        """Return body twists, shape (B, N, 3).
+
+        Raises:
+            ConfigurationError: If the scans are not one for each of the (B, N) robots.
+        """
         scan = view.scans
+        require(
+            view.active.ndim == 2 and scan.ranges.shape[:-1] == view.active.shape,
+            f"scans of shape {scan.ranges.shape} and active of shape {view.active.shape} given; "
+            "(B, N, R) and (B, N) are needed",
+        )
         ranges = np.ascontiguousarray(scan.ranges, dtype=np.float64)
         out = np.empty((*view.active.shape, 3))
         _command_worlds(

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from triform.dataset.collect import Progress, collect
 from triform.dataset.configuration import PAPER, PRESETS, QUICK, CollectionConfig
+from triform.dataset.fresh import FreshBatch, StateConfig, draw_fresh
 from triform.dataset.manifest import Manifest, Shard, load_manifest
+from triform.dataset.neighbours import neighbours
 from triform.dataset.reader import Demonstrations, Split
 from triform.dataset.records import Records
-from triform.dataset.teachers import TEACHERS
 
 __all__ = [
     "PAPER",
     "PRESETS",
     "QUICK",
-    "TEACHERS",
     "CollectionConfig",
     "Demonstrations",
+    "FreshBatch",
     "Manifest",
     "Progress",
     "Records",
     "Shard",
     "Split",
+    "StateConfig",
     "collect",
+    "draw_fresh",
     "load_manifest",
+    "neighbours",
 ]

@@ -7,7 +7,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from triform.dataset.teachers import TEACHERS
+from triform.control import TEACHERS
 from triform.simulation import ROBOMASTER_EP, Footprint
 from triform.types import ConfigurationError, IntArray, MapConfig, ScanConfig, require
 
@@ -60,7 +60,7 @@ class CollectionConfig:
     gain: float = 1.0
     max_speed: float = 1.0
     speed_limit: float = 0.5
-    step_period: float = 0.1
+    step_period: float = 0.01
     jitter: tuple[float, ...] = (0.0,)
     footprint: Footprint = ROBOMASTER_EP
     scan: ScanConfig = field(default_factory=ScanConfig)
@@ -85,7 +85,7 @@ class CollectionConfig:
             require(0 < value < np.inf, f"{name} is {value}; it must be positive and finite")
         require(
             self.teacher in TEACHERS,
-            f"there is no teacher named {self.teacher!r}; the teachers are {', '.join(sorted(TEACHERS))}",
+            f"there is no teacher {self.teacher!r}; the teachers are {', '.join(TEACHERS)}",
         )
         require(
             len(self.jitter) > 0 and all(0 <= deviation < np.inf for deviation in self.jitter),

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from triform.control import Teacher
 from triform.dataset.configuration import CollectionConfig
-from triform.dataset.teachers import TEACHERS, Teacher, TeacherSettings
 from triform.simulation import Drive, starts
 from triform.simulation.kinematics import integrate, limit_twists
 from triform.types import FloatArray
@@ -15,8 +15,7 @@ from triform.types import FloatArray
 
 def make_teacher(config: CollectionConfig) -> Teacher:
     """The teacher of a data set."""
-    settings = TeacherSettings(config.distance, config.gain, config.max_speed, config.scan.range_max)
-    return TEACHERS[config.teacher](settings)
+    return Teacher(config.teacher, config.distance, config.gain, config.max_speed)
 
 
 def demonstrate(config: CollectionConfig, runs: Sequence[int]) -> list[tuple[FloatArray, FloatArray]]:
@@ -44,12 +43,12 @@ def _roll_outs(config: CollectionConfig, teacher: Teacher, runs: Sequence[int]) 
     commands = np.empty_like(driven)
     for step in range(config.steps):
         driven[:, step] = poses
-        commands[:, step] = twists = teacher(poses)
+        commands[:, step] = twists = teacher.label(poses)
         poses = integrate(poses, limit_twists(twists, drive), config.step_period)
     if not any(config.jitter):
         return list(zip(driven, commands, strict=True))
     jittered = [_jitter(config, run, each) for run, each in zip(runs, driven, strict=True)]
-    return [(each, teacher(each)) for each in jittered]
+    return [(each, teacher.label(each)) for each in jittered]
 
 
 def _jitter(config: CollectionConfig, run: int, poses: FloatArray) -> FloatArray:
@@ -61,4 +60,4 @@ def _jitter(config: CollectionConfig, run: int, poses: FloatArray) -> FloatArray
 def _block(config: CollectionConfig, teacher: Teacher, run: int) -> tuple[FloatArray, FloatArray]:
     first = (run - config.runs) * config.block_placements
     poses = starts(config.robots, config.run_records(run), config.placement_seed, first=first)
-    return poses, teacher(poses)
+    return poses, teacher.label(poses)

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from triform.control import Teacher, expert_into
+from triform.control import SENSING_RANGE, Teacher, expert_into
+from triform.dataset.neighbours import neighbours_into
 from triform.perception import occupied_into
 from triform.simulation.lidar import cast_world
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, require
-
-_SENSING_RANGE = 2.0
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ def _place(rng, side, min_spacing, poses, stack, seen):  # type: ignore[no-untyp
             reached += 1
             for j in range(robots):
                 gap = (poses[i, 0] - poses[j, 0]) ** 2 + (poses[i, 1] - poses[j, 1]) ** 2
-                if not seen[j] and gap <= _SENSING_RANGE**2:
+                if not seen[j] and gap <= SENSING_RANGE**2:
                     seen[j] = True
                     stack[top] = j
                     top += 1
@@ -200,15 +199,7 @@ def _draw_records(  # type: ignore[no-untyped-def]
             kept = occupied_into(ranges[i], cos_rays, sin_rays, cell, min_cells, max_cells, maps[e, i], scratch, cells)
             for q in range(kept):
                 maps[e, i, cells[q] // size, cells[q] % size] = 1
-            cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-            slot = 0
-            for j in range(robots):
-                if j != i:
-                    d_x, d_y = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
-                    neighbours[e, i, slot, 0] = cos * d_x + sin * d_y
-                    neighbours[e, i, slot, 1] = -sin * d_x + cos * d_y
-                    neighbours[e, i, slot, 2] = 1.0 if graph[i, j] else 0.0
-                    slot += 1
+        neighbours_into(poses, graph, neighbours[e])
 
 
 def draw_fresh(

@@ -32,7 +32,10 @@ from triform.geometry import edge_error, gabriel_graph
 from triform.types import FloatArray
 
 _PIXELS = 520
-_COLOURS = 128
+#: A GIF has 256 colours: greys, and tints for so many robots.
+_GREYS = 32
+_TINTS = (1.0, 0.85, 0.7, 0.55, 0.45, 0.35, 0.25, 0.12)
+_COLOURED = 28
 _FRAME_MS = 50
 _LAST_FRAME_MS = 2000
 _TRAIL = 4.0
@@ -72,14 +75,20 @@ def _draw_frames(trajectory: Trajectory, scene: Scene, records: list[int]) -> li
         figure = plt.figure(figsize=(_PIXELS / 100, _PIXELS / 100), layout="none")
         try:
             drawing = _Drawing(figure, trajectory, scene)
-            # One palette for all frames: that of a record with as many robots as any, which have left trails.
-            fullest = int(np.argmax(trajectory.active[0].sum(axis=-1)))
-            moved = min(fullest + round(1 / trajectory.period), len(trajectory.time) - 1)
-            palette = drawing.draw(moved).quantize(_COLOURS)
+            palette = _palette(robot_colours(min(_COLOURED, trajectory.poses.shape[2])))
             none = Image.Dither.NONE
             return [drawing.draw(record).quantize(palette=palette, dither=none) for record in records]
         finally:
             plt.close(figure)
+
+
+def _palette(colours: list[Any]) -> Image.Image:
+    """Return a palette, the same for all frames: greys, and every colour from full to nearly white."""
+    greys = [np.full(3, level) for level in np.linspace(0, 1, _GREYS)]
+    tints = [1 - share * (1 - np.array(colour[:3])) for colour in colours for share in _TINTS]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.round(255 * np.array(greys + tints)).astype(np.uint8).tobytes())
+    return palette
 
 
 class _Drawing:

@@ -11,7 +11,7 @@ from rich.console import Console
 from triform.evaluation.animation import animate
 from triform.evaluation.evaluate import describe
 from triform.evaluation.figures import Scene, run_figure
-from triform.evaluation.metrics import measure, summarise
+from triform.evaluation.metrics import summarise
 from triform.evaluation.output import prepare_folder, write_json
 from triform.evaluation.scenario import Scenario, world_seeds
 from triform.evaluation.style import save_figure
@@ -60,7 +60,7 @@ def run_demo(config: DemoConfig, console: Console) -> list[Path]:
     seeds = world_seeds(config.robots, config.seed, 1)
     with progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps) as advance:
         trajectory, world = config.run(poses, seeds, controller, advance)
-    table = measure(trajectory, config.distance, min_distance=world.min_distance, collision=world.collided)
+    table = config.measure(trajectory, world)
     result = {"robots": config.robots, **summarise(table)}
     took = time.perf_counter() - began
     title = f"{config.controller}: {config.duration:g} s simulated in {took:.1f} s"

@@ -16,7 +16,7 @@ from triform.evaluation.metrics import RunTable, concatenate, measure, select, s
 from triform.evaluation.output import prepare_file, write_json
 from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.scenario import Scenario, batches, world_seeds
-from triform.evaluation.tables import format_value, progress_bar, rich_table, write_parquet
+from triform.evaluation.tables import format_value, progress_bar, require_parquet, rich_table, write_parquet
 from triform.simulation import World, sample_addition, starts
 from triform.types import Controller, IntArray, PrivilegedView, require
 
@@ -116,7 +116,7 @@ def change_teams(world: World, change: Change, draws: list[np.random.SeedSequenc
 
 def _measure_change(config: DynamicConfig, before: Trajectory, after: Trajectory, world: World) -> RunTable:
     earlier = measure(before, config.distance)
-    later = measure(after, config.distance, min_distance=world.min_distance, collision=world.collided)
+    later = config.measure(after, world)
     return later | {
         "robots_before": earlier["robots"],
         "formed_before": earlier["success"],
@@ -173,6 +173,8 @@ def run_dynamic(config: DynamicConfig, console: Console) -> dict[str, Any]:
     for path in (config.json, config.parquet):
         if path is not None:
             prepare_file(path)
+    if config.parquet is not None:
+        require_parquet()
     began = time.perf_counter()
     controller = config.make_controller()
     total = len(CHANGES) * config.steps * config.runs * config.robots

@@ -13,10 +13,10 @@ import numpy as np
 from rich.console import Console
 
 from triform import __version__
-from triform.evaluation.metrics import RunTable, concatenate, measure, select, summarise
+from triform.evaluation.metrics import RunTable, concatenate, select, summarise
 from triform.evaluation.output import prepare_file, write_json
 from triform.evaluation.scenario import Scenario, batches, world_seeds
-from triform.evaluation.tables import progress_bar, rich_table, summary_rows, write_parquet
+from triform.evaluation.tables import progress_bar, require_parquet, rich_table, summary_rows, write_parquet
 from triform.simulation import load_starts, starts
 from triform.types import Controller, FloatArray, IntArray, PrivilegedView, require
 
@@ -178,15 +178,7 @@ def evaluate_runs(
             work = (batch.stop - batch.start) * robots
             step = partial(on_step, work)
         trajectory, world = scenario.run(poses[batch], seeds[batch], controller, step)
-        tables.append(
-            measure(
-                trajectory,
-                scenario.distance,
-                min_distance=world.min_distance,
-                collision=world.collided,
-            )
-            | {"hit_arena": np.array(world.hit_arena)}
-        )
+        tables.append(scenario.measure(trajectory, world))
     return {"run": np.arange(runs)} | concatenate(tables)
 
 
@@ -219,6 +211,8 @@ def run_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
     for path in (config.json, per_run_file):
         if path is not None:
             prepare_file(path)
+    if per_run_file is not None:
+        require_parquet()
 
     def keep(evaluation: Evaluation) -> None:
         if config.json is not None:

@@ -273,7 +273,7 @@ def _boxes(axes: Axes, sizes: list[int], columns: list[FloatArray]) -> None:
         widths=0.5,
         patch_artist=True,
         medianprops={"color": INK, "linewidth": 1.4},
-        boxprops={"facecolor": BLUE, "edgecolor": INK, "linewidth": 0.8, "alpha": 0.75},
+        boxprops={"facecolor": BLUE, "edgecolor": INK, "linewidth": 0.8},
         whiskerprops={"color": INK, "linewidth": 0.8},
         capprops={"color": INK, "linewidth": 0.8},
         flierprops={"marker": "o", "ms": 2.5, "mfc": GREY, "mec": "none", "alpha": 0.8},
@@ -293,7 +293,7 @@ def _success(axes: Axes, sizes: list[int], rates: list[float]) -> None:
     axes.set_xlim(-0.6, len(sizes) - 0.4)
     low = np.nanmin([*rates, *published, 90])
     axes.set_ylim(max(0, low - 5), 101.5)
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     axes.set_ylabel("success [%]")
     axes.set_title("c  success", loc="left")
 

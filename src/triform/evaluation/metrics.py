@@ -75,6 +75,7 @@ def measure(
     sensing_range: float = SENSING_RANGE,
     min_distance: FloatArray | None = None,
     collision: BoolArray | None = None,
+    hit_arena: BoolArray | None = None,
 ) -> RunTable:
     """Measure every run of a trajectory .
 
@@ -89,6 +90,8 @@ def measure(
         min_distance: Smallest distance between two robots [m], shape (B,), where the team keeps watch between
             records; by default the smallest one recorded, infinite where there are not two robots.
         collision: Whether two footprints ever overlapped, shape (B,), where the team knows; no by default.
+        hit_arena: Whether a footprint ever overlapped a wall or pillar, shape (B,), where the team knows; no by
+            default.
 
     Returns:
         A table with one row per run.
@@ -104,7 +107,7 @@ def measure(
     start = assess(positions[:, 0], distance, sensing_range, active[:, 0])
     end = assess(positions[:, -1], distance, np.inf, active[:, -1])
     end_sensed = assess(positions[:, -1], distance, sensing_range, active[:, -1])
-    runs = len(positions)
+    never = np.zeros(len(positions), dtype=np.bool_)
     return {
         "robots": active[:, -1].sum(axis=-1),
         "formation_error": formation_error,
@@ -118,7 +121,8 @@ def measure(
         "connected_start": start.connected,
         "connected_end": end_sensed.connected,
         "min_distance": closest(trajectory) if min_distance is None else np.array(min_distance),
-        "collision": np.zeros(runs, dtype=np.bool_) if collision is None else np.array(collision),
+        "collision": never if collision is None else np.array(collision),
+        "hit_arena": never if hit_arena is None else np.array(hit_arena),
     }
 
 
@@ -158,6 +162,7 @@ def summarise(table: RunTable) -> dict[str, Any]:
         "connected_end": _mean(table["connected_end"]),
         "min_distance": float(np.min(table["min_distance"], initial=np.inf)),
         "collision": _mean(table["collision"]),
+        "hit_arena": _mean(table["hit_arena"]),
     }
 
 

@@ -26,7 +26,7 @@ def prepare_folder(folder: Path) -> Path:
         with _temporary(folder / "probe") as temporary:
             temporary.touch()
     except OSError as error:
-        raise TriformError(f"cannot write into the output folder {folder}: {_reason(error)}") from error
+        raise TriformError(f"cannot write to the output folder {folder}: {_reason(error)}") from error
     return folder
 
 

@@ -24,7 +24,7 @@ from triform.evaluation.dynamic import (
 )
 from triform.evaluation.evaluate import EvaluateConfig, Evaluation, describe, evaluate, evaluate_runs
 from triform.evaluation.figures import Scene, TeamChange, figure_3, figure_4, figure_5
-from triform.evaluation.metrics import RunTable, concatenate, measure, summarise
+from triform.evaluation.metrics import RunTable, concatenate, summarise
 from triform.evaluation.output import prepare_folder, write_json
 from triform.evaluation.page import Section, read_sections, write_pages
 from triform.evaluation.rollout import Trajectory
@@ -35,6 +35,7 @@ from triform.evaluation.tables import (
     Advance,
     format_value,
     progress_bar,
+    require_parquet,
     rich_table,
     summary_rows,
     write_parquet,
@@ -89,6 +90,7 @@ def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
         TriformError: The folder cannot be written, or a name in the configuration is unknown.
     """
     prepare_folder(config.output)
+    require_parquet()
     reproduction = _Reproduction(config, console)
     makers: dict[str, Callable[[], Section]] = {
         "table1": reproduction.table_1,
@@ -96,13 +98,16 @@ def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
         "fig4": reproduction.figure_4,
         "fig5": reproduction.figure_5,
     }
+    pages: list[Path] = []
     for key in KEYS if config.what == "all" else [config.what]:
         section = makers[key]()
         console.print(rich_table(section.title, section.headings, section.rows))
         for name in [section.image, *section.files]:
             if name:
                 console.print(f"wrote {config.output / name}", soft_wrap=True)
-    pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
+        # After every section, so that an interrupted reproduction leaves a page over what is done.
+        sections = read_sections(config.output, KEYS)
+        pages = write_pages(config.output, "Results beside the paper's", sections)
     for page in pages:
         console.print(f"wrote {page}", soft_wrap=True)
     return pages
@@ -158,8 +163,8 @@ class _Reproduction:
             "table1",
             "Table I: success by team size",
             f"{self.config.runs} random starts per team size, {self.config.duration:g} s each, controller "
-            f"{self.config.controller}. The paper's median error and converge time are read from its Fig. 4 and "
-            "hold for all sizes. Row 4* sets the simulated hardware profile beside the paper's runs of "
+            f"{self.config.controller}. The paper gives one range of median errors and one converge time "
+            "for all sizes. Row 4* sets the simulated hardware profile beside the paper's runs of "
             "four real robots. Errors and converge times are medians. Sensed counts only pairs within 2 m; strict is "
             "the share of runs that end in a true triangulation; the paper reports neither.",
             (headings, rows),
@@ -194,7 +199,7 @@ class _Reproduction:
             "fig3",
             "Fig. 3: distances and trajectories",
             f"The first start of every team size with seed {self.config.seed}, not selected by outcome. Above: "
-            "distances over time of the pairs that end as Gabriel neighbours, in red those that end out of sensing "
+            "distances over time of the pairs that end as Gabriel neighbours, in orange-red those that end out of sensing "
             "range; the green line is the prescribed distance, the band 10 % around it. Below: where every "
             "robot started (ring), went (line) and ended (footprint, white line to the front), and the final graph, "
             f"dashed where it is longer than robots can sense. {LEGEND}",
@@ -215,7 +220,7 @@ class _Reproduction:
             "fig4",
             "Fig. 4: formation error and converge time",
             f"{self.config.runs} runs per team size. Boxes span the quartiles with the median inside, whiskers "
-            "reach 1.5 times as far, dots are the runs beyond. Red: the paper's range of median errors, its median "
+            "reach 1.5 times as far, dots are the runs beyond. Orange-red: the paper's range of median errors, its median "
             "converge time and its success. Runs that never converge have no converge time, so panel b shows "
             f"the n others only. {LEGEND}",
             (headings, rows),
@@ -239,12 +244,12 @@ class _Reproduction:
         section = self._section(
             "fig5",
             "Fig. 5: a robot comes, a robot goes",
-            "Above, a robot (orange) comes to six at 21 s; below, one of seven (red) goes. Shown is the first start "
+            "Above, a robot (orange) comes to six at 21 s; below, one of seven (orange-red) goes. Shown is the first start "
             "that had formed before the change and whose sensing graph is connected right after it. The table is "
             f"over {self.config.runs} random additions and as many removals to teams of 7. Back: the mean error of "
-            "5 s is below 10 % again within 19 s and stays there; linked: right after the change the pairs within 2 m still "
-            "connect everybody; sensed: back, over pairs within 2 m; recovery time: median, at least 5 s because it is "
-            "the time of a mean over 5 s.",
+            "5 s is below 10 % again within 19 s and stays there; linked: right after the change the pairs within 2 m "
+            "still connect everybody; sensed: back, over pairs within 2 m; recovery time: median, at least 5 s as "
+            "it is the time of a mean over 5 s.",
             change_rows(summaries),
             image="fig5.png",
         )
@@ -260,9 +265,7 @@ class _Reproduction:
         poses = starts(robots, 1, self.config.seed)
         seeds = world_seeds(robots, self.config.seed, 1)
         trajectory, world = self.config.run(poses, seeds, self.controller, partial(advance, robots))
-        return trajectory, measure(
-            trajectory, self.config.distance, min_distance=world.min_distance, collision=world.collided
-        )
+        return trajectory, self.config.measure(trajectory, world)
 
     def _hardware_like(self) -> dict[str, Any]:
         """Measure four robots with the hardware profile."""

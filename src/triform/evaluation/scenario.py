@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from triform.control import make_controller
+from triform.evaluation.metrics import RunTable, measure
 from triform.evaluation.rollout import Trajectory, control_steps, rollout
 from triform.simulation import Arena, Profile, World, get_arena, get_profile
 from triform.types import Controller, FloatArray, PrivilegedView, require
@@ -22,10 +23,10 @@ class Scenario:
     """Everything about a run but its start.
 
     Attributes:
-        controller: Name of the controller.
+        controller: Name of the controller: policy, expert, expert-sensed or scan-pipeline.
         weights: Weights of the policy: a name of shipped ones or a checkpoint; the default ones if omitted.
-        profile: Name of the robot profile.
-        arena: Name of the arena.
+        profile: Name of the robot profile: ideal or hardware.
+        arena: Name of the arena: open, room-6 or pillars.
         distance: Prescribed neighbour distance d* [m].
         duration: Length of every run [s].
         threads: Threads of the policy; all cores if omitted.
@@ -82,6 +83,16 @@ class Scenario:
         trajectory = rollout(world, controller or self.make_controller(), self.duration, on_step)
         return trajectory, world
 
+    def measure(self, trajectory: Trajectory, world: World) -> RunTable:
+        """Measure every run of a trajectory that ended in ``world``."""
+        return measure(
+            trajectory,
+            self.distance,
+            min_distance=world.min_distance,
+            collision=world.collided,
+            hit_arena=world.hit_arena,
+        )
+
 
 def world_seeds(robots: int, seed: int, runs: int, purpose: int = 1) -> list[np.random.SeedSequence]:
     """Return one seed per run for its noise; a function of (robots, seed, index) alone, like the starts.
@@ -95,8 +106,8 @@ def world_seeds(robots: int, seed: int, runs: int, purpose: int = 1) -> list[np.
     return [np.random.SeedSequence([robots, seed, index, purpose]) for index in range(runs)]
 
 
-def batches(runs: int, robots: int, robots_at_once: int = ROBOTS_AT_ONCE) -> Iterator[slice]:
+def batches(runs: int, robots: int, robots_at_once: int | None = None) -> Iterator[slice]:
     """Split runs of ``robots`` robots each into slices that hold at most ``robots_at_once``, or one run."""
-    size = max(1, robots_at_once // max(1, robots))
+    size = max(1, (robots_at_once or ROBOTS_AT_ONCE) // robots)
     for first in range(0, runs, size):
         yield slice(first, min(first + size, runs))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -42,19 +43,26 @@ def progress_bar(console: Console, description: str, total: float) -> Iterator[A
         yield lambda steps=1: progress.advance(task, steps)
 
 
+def require_parquet() -> None:
+    """Make sure that Parquet files can be written, before anything is computed for them.
+
+    Raises:
+        TriformError: pyarrow is not installed.
+    """
+    if importlib.util.find_spec("pyarrow") is None:
+        raise TriformError("per-run tables need pyarrow, which is not installed: pip install 'triform[evaluate]'")
+
+
 def write_parquet(path: Path, table: RunTable) -> Path:
     """Write one row per run to a Parquet file, atomically.
 
     Raises:
         TriformError: The file cannot be written, or pyarrow is not installed.
     """
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError as error:
-        raise TriformError(
-            "per-run tables need pyarrow, which is not installed: pip install 'triform[evaluate]'"
-        ) from error
+    require_parquet()
+    import pyarrow as pa
+    from pyarrow import parquet
+
     with atomic_path(path) as temporary:
         parquet.write_table(pa.table({name: pa.array(column) for name, column in table.items()}), temporary)
     return path
@@ -69,7 +77,7 @@ _COLUMNS = (
     ("strict", "strict", "%"),
     ("median error", "formation_error_median", "%%"),
     ("95 % error", "formation_error_p95", "%%"),
-    ("converge time", "converge_time_median", "s"),
+    ("time", "converge_time_median", "s"),
     ("compact", "compactness_mean", "%"),
     ("closest", "min_distance", "m"),
     ("overlap", "collision", "%"),
@@ -78,7 +86,7 @@ _COLUMNS = (
 #: What the headings mean, for pages.
 LEGEND = (
     "Success: the formation error, averaged over the last 5 s, is below 10 %; sensed: the same over pairs within "
-    "2 m; strict: the run ends in a true triangulation; converge time: median over the runs that converge; "
+    "2 m; strict: the run ends in a true triangulation; time: median converge time of the runs that converge; "
     "compact: edges over the most that so many robots can have; closest: smallest distance between two centres; "
     "overlap: runs in which two footprints ever overlapped."
 )

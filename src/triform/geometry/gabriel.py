@@ -13,7 +13,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from triform.threads import threads_for
 from triform.types import BoolArray, ConfigurationError, FloatArray
+
+#: Pairs of robots that keep a thread busy for a few milliseconds.
+PAIRS_PER_THREAD = 100_000
 
 
 @njit(cache=True, nogil=True)
@@ -54,9 +58,7 @@ def _gabriel_worlds(positions, active, max_range, out):  # type: ignore[no-untyp
         gabriel_into(positions[b], active[b], max_range, out[b])
 
 
-def gabriel_graph(
-    positions: FloatArray, max_range: float = np.inf, active: BoolArray | None = None
-) -> BoolArray:
+def gabriel_graph(positions: FloatArray, max_range: float = np.inf, active: BoolArray | None = None) -> BoolArray:
     """Gabriel graph of every world.
 
     With a finite ``max_range`` the graph holds the edges of the full graph that are no longer than it. That is
@@ -79,9 +81,9 @@ def gabriel_graph(
         raise ConfigurationError(f"max_range is {max_range} m; it must not be negative")
     robots = points.shape[-2]
     out = np.empty((*points.shape[:-2], robots, robots), dtype=np.bool_)
-    _gabriel_worlds(
-        points.reshape(-1, robots, 2), mask.reshape(-1, robots), max_range, out.reshape(-1, robots, robots)
-    )
+    worlds = points.reshape(-1, robots, 2)
+    with threads_for(len(worlds) * robots**2, PAIRS_PER_THREAD):
+        _gabriel_worlds(worlds, mask.reshape(-1, robots), max_range, out.reshape(-1, robots, robots))
     return out
 
 

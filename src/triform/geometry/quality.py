@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
-from triform.geometry.gabriel import checked_points, gabriel_into
+from triform.geometry.gabriel import PAIRS_PER_THREAD, checked_points, gabriel_into
+from triform.threads import threads_for
 from triform.types import BoolArray, FloatArray, IntArray, require
 
 #: An edge is right when its length is within this share of the prescribed distance.
@@ -119,11 +120,7 @@ def _assess_worlds(  # type: ignore[no-untyped-def]
         # Euler: a connected planar graph has E - N + 1 bounded faces; all are triangles iff there are as
         # many 3-cycles, because an empty 3-cycle is a face and a Gabriel triangle is empty.
         strict[b] = (
-            connected[b]
-            and count >= 3
-            and worst < EDGE_TOLERANCE
-            and covered
-            and triangles == edges - count + 1
+            connected[b] and count >= 3 and worst < EDGE_TOLERANCE and covered and triangles == edges - count + 1
         )
         compactness[b] = np.nan
         if count >= 2:
@@ -168,17 +165,18 @@ def assess(
     connected = np.empty(lead, dtype=np.bool_)
     strict = np.empty(lead, dtype=np.bool_)
     compactness = np.empty(lead)
-    _assess_worlds(
-        points.reshape(-1, robots, 2),
-        mask.reshape(-1, robots),
-        distance,
-        max_range,
-        error.reshape(-1),
-        edges.reshape(-1),
-        connected.reshape(-1),
-        strict.reshape(-1),
-        compactness.reshape(-1),
-    )
+    with threads_for(error.size * robots**2, PAIRS_PER_THREAD):
+        _assess_worlds(
+            points.reshape(-1, robots, 2),
+            mask.reshape(-1, robots),
+            distance,
+            max_range,
+            error.reshape(-1),
+            edges.reshape(-1),
+            connected.reshape(-1),
+            strict.reshape(-1),
+            compactness.reshape(-1),
+        )
     return Quality(error, edges, connected, strict, compactness)
 
 
@@ -193,7 +191,8 @@ def edge_error(
     points, mask = checked_points(positions, active)
     robots = points.shape[-2]
     out = np.empty(points.shape[:-2])
-    _edge_error_worlds(
-        points.reshape(-1, robots, 2), mask.reshape(-1, robots), distance, max_range, out.reshape(-1)
-    )
+    with threads_for(out.size * robots**2, PAIRS_PER_THREAD):
+        _edge_error_worlds(
+            points.reshape(-1, robots, 2), mask.reshape(-1, robots), distance, max_range, out.reshape(-1)
+        )
     return out

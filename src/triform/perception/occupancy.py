@@ -13,10 +13,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from triform.threads import threads_for
 from triform.types import MapArray, MapConfig, Scan
 
 _MARKED = 1
 _VISITED = 2
+#: Scans that keep a thread busy for a few milliseconds.
+_SCANS_PER_THREAD = 300
 
 
 @njit(cache=True, nogil=True)
@@ -135,5 +138,6 @@ def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
     angles = scan.config.angles
     ranges = np.ascontiguousarray(scan.ranges, dtype=np.float64).reshape(-1, scan.config.rays)
     out = np.zeros((ranges.shape[0], config.size, config.size), dtype=np.uint8)
-    _maps(ranges, np.cos(angles), np.sin(angles), config.cell, config.min_cells, config.max_cells, out)
+    with threads_for(len(ranges), _SCANS_PER_THREAD):
+        _maps(ranges, np.cos(angles), np.sin(angles), config.cell, config.min_cells, config.max_cells, out)
     return out.reshape(*scan.ranges.shape[:-1], config.size, config.size)

@@ -42,7 +42,7 @@ class PolicyRuntime:
             options.inter_op_num_threads = 1
         try:
             self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # noqa: BLE001 - ONNX Runtime's exceptions share no base class
+        except Exception as error:
             raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
 
     def commands(self, packed: PackedMaps) -> FloatArray:

@@ -64,7 +64,8 @@ class Block(nn.Module):
         mixed = functional.scaled_dot_product_attention(queries, keys, values, attn_mask=rows.mask)
         x = x + self.project(rows.gather(mixed))
         hidden = functional.gelu(self.expand(self.norm_mlp(x)))
-        return x + self.contract(hidden)
+        out: Tensor = x + self.contract(hidden)
+        return out
 
 
 class Rows:
@@ -105,9 +106,7 @@ class VisionTransformer(nn.Module):
         self.class_token = nn.Parameter(torch.zeros(config.dim))
         self.blocks = nn.ModuleList(Block(config) for _ in range(config.depth))
         self.norm = nn.LayerNorm(config.dim)
-        self.head = nn.Sequential(
-            nn.Linear(config.dim, config.mlp), nn.GELU(), nn.Linear(config.mlp, config.outputs)
-        )
+        self.head = nn.Sequential(nn.Linear(config.dim, config.mlp), nn.GELU(), nn.Linear(config.mlp, config.outputs))
         nn.init.normal_(self.position, std=0.02)
 
     def encode(self, tokens: TokenBatch) -> tuple[Tensor, Tensor]:

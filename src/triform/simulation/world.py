@@ -10,12 +10,12 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from triform.simulation._threads import MOVING_RAYS_PER_THREAD, threads_for
 from triform.simulation._world_kernels import advance_worlds, record_contacts
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
-from triform.simulation.lidar import angle_offsets, apply_noise, cast_scans
+from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, angle_offsets, apply_noise, cast_scans
 from triform.simulation.profiles import Profile
+from triform.threads import threads_for
 from triform.types import (
     BoolArray,
     ConfigurationError,

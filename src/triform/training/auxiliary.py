@@ -8,7 +8,6 @@ this tells each token what the command's sum is made of. The head is thrown away
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor, nn
@@ -109,4 +108,5 @@ class AuxiliaryHead(nn.Module):
         offset = (predicted[:, 2:4] - targets[:, 2:4]).square().mean(1)
         edge = functional.binary_cross_entropy_with_logits(predicted[:, 4], targets[:, 4], reduction="none")
         weight = valid.to(features.dtype)
-        return (weight * (term + 0.1 * offset + 0.1 * edge)).sum() / weight.sum().clamp(min=1.0)
+        loss: Tensor = (weight * (term + 0.1 * offset + 0.1 * edge)).sum() / weight.sum().clamp(min=1.0)
+        return loss

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 import queue
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from triform.control import get_teacher
-from triform.dataset.fresh import draw_fresh
+from triform.control import Teacher
+from triform.dataset import Demonstrations, Records, Split, draw_fresh, neighbours
 from triform.policy import PackedMaps, pack
-from triform.training.auxiliary import TARGETS, token_targets
+from triform.training.auxiliary import token_targets
 from triform.training.presets import TrainConfig
+from triform.types import FloatArray, MapArray, TriformError
 
+#: Maps of the validation set, about.
+VALIDATION_MAPS = 4000
 _QUEUE_LENGTH = 4
 _FRESH_STREAM = 0
 _VALIDATION_STREAM = 1
@@ -38,27 +43,94 @@ class TrainBatch:
     valid: NDArray[np.bool_]
 
 
-def _fresh(config: TrainConfig, stream: int, index: int, maps: int) -> TrainBatch:
-    rng = np.random.default_rng(np.random.SeedSequence([config.seed, stream, index]))
-    teacher = get_teacher(config.teacher)
-    batch = draw_fresh(rng, maps, teacher, config.states, config.scan, config.map)
-    packed = pack(batch.maps, config.network.patch, config.network.attention)
-    targets, valid = token_targets(packed, batch.neighbours, config.map, config.network.patch, teacher.distance)
-    return TrainBatch(packed, batch.commands.astype(np.float32), targets, valid)
+def _prepare(
+    maps: MapArray, commands: NDArray[np.floating], neighbours_body: FloatArray, config: TrainConfig
+) -> TrainBatch:
+    patch = config.network.patch
+    packed = pack(maps, patch, config.network.attention)
+    targets, valid = token_targets(packed, neighbours_body, config.map, patch, config.distance)
+    return TrainBatch(packed, commands.astype(np.float32), targets, valid)
 
 
-def fresh_batches(config: TrainConfig, start: int) -> Iterator[TrainBatch]:
-    """Endless fresh mini-batches from number ``start`` on; each is a function of the seed and its number."""
-    index = start
-    while True:
-        yield _fresh(config, _FRESH_STREAM, index, config.batch_maps)
-        index += 1
+class FreshSource:
+    """Demonstrations drawn anew for every mini-batch, each a function of the seed and its number."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        """Draw as ``config`` says.
+
+        Raises:
+            TriformError: If the configuration wants one epoch, which only a stored data set has.
+        """
+        if config.maps is None:
+            raise TriformError(f"the preset {config.preset!r} trains on stored demonstrations; give them with --data")
+        self._config = config
+        self._teacher = Teacher(config.teacher, config.distance)
+        self.steps = -(-config.maps // config.batch_maps)
+
+    def batches(self, start: int) -> Iterator[TrainBatch]:
+        """Mini-batches from number ``start`` on, without end."""
+        return (self._draw(_FRESH_STREAM, index) for index in itertools.count(start))
+
+    def validation(self) -> list[TrainBatch]:
+        """Mini-batches that training never draws."""
+        count = max(1, round(VALIDATION_MAPS / self._config.batch_maps))
+        return [self._draw(_VALIDATION_STREAM, index) for index in range(count)]
+
+    def _draw(self, stream: int, index: int) -> TrainBatch:
+        config = self._config
+        rng = np.random.default_rng(np.random.SeedSequence([config.seed, stream, index]))
+        fresh = draw_fresh(rng, config.batch_maps, self._teacher, config.states, config.scan, config.map)
+        return _prepare(fresh.maps, fresh.commands, fresh.neighbours, config)
 
 
-def validation_batches(config: TrainConfig, maps: int = 4000) -> list[TrainBatch]:
-    """A fixed set of about ``maps`` fresh demonstrations that training never draws, in mini-batches."""
-    count = max(1, round(maps / config.batch_maps))
-    return [_fresh(config, _VALIDATION_STREAM, index, config.batch_maps) for index in range(count)]
+class StoredSource:
+    """Demonstrations read from a data set, epoch after epoch, each in an order of its own."""
+
+    def __init__(self, config: TrainConfig, data: Path) -> None:
+        """Read the data set in ``data``.
+
+        Raises:
+            TriformError: If it cannot be read, or was collected with another scan, map or distance.
+        """
+        self._demonstrations = Demonstrations.open(data)
+        self._config = config
+        collected = self._demonstrations.manifest.config
+        for name in ("scan", "map", "distance", "teacher"):
+            wanted, found = getattr(config, name), getattr(collected, name)
+            if wanted != found:
+                raise TriformError(f"{data} was collected with {name} {found}; this training wants {wanted}")
+        self._records = max(1, round(config.batch_maps / collected.robots))
+        self._epoch = self._demonstrations.batch_count("train", self._records)
+        if self._epoch == 0:
+            raise TriformError(f"{data} holds no training records")
+        batch_maps = self._records * collected.robots
+        self.steps = self._epoch if config.maps is None else -(-config.maps // batch_maps)
+
+    def batches(self, start: int) -> Iterator[TrainBatch]:
+        """Mini-batches from number ``start`` on, without end."""
+        epoch, begin = divmod(start, self._epoch)
+        while True:
+            for records in self._demonstrations.batches(
+                "train", self._records, seed=self._config.seed, epoch=epoch, start=begin
+            ):
+                yield self._read(records)
+            epoch, begin = epoch + 1, 0
+
+    def validation(self) -> list[TrainBatch]:
+        """Some of the records that are held out; of the training records if none are."""
+        split: Split = "validation" if self._demonstrations.records("validation") else "train"
+        count = max(1, round(VALIDATION_MAPS / self._config.batch_maps))
+        records = self._demonstrations.batches(split, self._records, seed=self._config.seed)
+        return [self._read(each) for each in itertools.islice(records, count)]
+
+    def _read(self, records: Records) -> TrainBatch:
+        around = neighbours(records.poses, self._config.scan.range_max)
+        return _prepare(records.maps(), records.commands, around, self._config)
+
+
+def open_source(config: TrainConfig, data: Path | None) -> FreshSource | StoredSource:
+    """Demonstrations stored in ``data``, or fresh ones if it is ``None``."""
+    return FreshSource(config) if data is None else StoredSource(config, data)
 
 
 class Prefetched:

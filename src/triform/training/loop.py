@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from triform.control import get_teacher
 from triform.policy import PolicySpec
 from triform.policy.vit import VisionTransformer, token_batch
 from triform.policy.weights import save_policy
 from triform.training.auxiliary import AuxiliaryHead
-from triform.training.batches import Prefetched, TrainBatch, fresh_batches, validation_batches
+from triform.training.batches import Prefetched, TrainBatch, open_source
 from triform.training.logs import TrainingLog
 from triform.training.presets import TrainConfig
 from triform.training.state import load_state, read_progress, save_state
@@ -121,7 +120,9 @@ def _check_same_run(out: Path, config: TrainConfig, resume: bool) -> None:
     try:
         if path.exists():
             if not resume:
-                raise TriformError(f"{out} already holds a training run; continue it with --resume or choose another --out")
+                raise TriformError(
+                    f"{out} already holds a training run; continue it with --resume or give another --out"
+                )
             if path.read_text() != text:
                 raise TriformError(f"{out} was trained with other settings (see {path}); resume with the same ones")
         elif resume:
@@ -170,10 +171,10 @@ def train(
     if resume and state_path.exists():
         load_state(state_path, learner, optimizer)
         record = read_progress(state_path)
-    spec = PolicySpec(config.network, config.scan, config.map, get_teacher(config.teacher).distance, config.record())
+    spec = PolicySpec(config.network, config.scan, config.map, config.distance, config.record())
     steps = source.steps
     validate_every = max(1, steps // 50)
-    checks = validation_batches(config)
+    checks = source.validation()
     began, maps_before, saved = time.monotonic(), record["maps"], time.monotonic()
     recent = 0.0
 
@@ -184,7 +185,7 @@ def train(
                 group["lr"] = learning_rate(config, step, steps)
             command, total = learner.losses(batch, config, target)
             optimizer.zero_grad()
-            total.backward()
+            torch.autograd.backward(total)
             if config.clip > 0:
                 nn.utils.clip_grad_norm_(learner.parameters(), config.clip)
             optimizer.step()
@@ -208,29 +209,3 @@ def train(
                 save_state(state_path, learner, optimizer, {**record, "step": done})
                 saved = time.monotonic()
     return out / "best"
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where mini-batches come from.
-
-    Attributes:
-        steps: Mini-batches of the whole run.
-        batches: Given the number of the first mini-batch, yields the rest.
-    """
-
-    steps: int
-    batches: Callable[[int], Iterator[TrainBatch]]
-
-
-def open_source(config: TrainConfig, data: Path | None) -> Source:
-    """Fresh demonstrations, or those stored in ``data``.
-
-    Raises:
-        TriformError: If the configuration needs what is not there.
-    """
-    if data is None:
-        if config.maps is None:
-            raise TriformError(f"the preset {config.preset!r} trains on stored demonstrations; give them with --data")
-        return Source(-(-config.maps // config.batch_maps), lambda start: fresh_batches(config, start))
-    raise TriformError("stored demonstrations are not read yet")

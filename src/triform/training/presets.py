@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from triform.dataset.fresh import StateConfig
+from triform.dataset import StateConfig
 from triform.policy import NetworkConfig
 from triform.types import ConfigurationError, MapConfig, ScanConfig, require
 
@@ -27,6 +27,7 @@ class TrainConfig:
         clip: Largest gradient norm; 0 leaves gradients alone.
         loss: ``norm`` is the mean Euclidean norm of the command error, ``mse`` its mean square.
         auxiliary: Weight of the auxiliary loss on tokens; fresh demonstrations only.
+        distance: Prescribed neighbour distance d* [m].
         teacher: Who labels fresh demonstrations.
         seed: Seed of weights and data.
         states: Which fresh states are drawn.
@@ -46,6 +47,7 @@ class TrainConfig:
     clip: float = 1.0
     loss: Literal["norm", "mse"] = "norm"
     auxiliary: float = 1.0
+    distance: float = 1.0
     teacher: str = "expert-sensed"
     seed: int = 1
     states: StateConfig = field(default_factory=StateConfig)
@@ -74,7 +76,7 @@ PRESETS = {
     # The smallest network that loses nothing, see docs/results.md.
     "default": TrainConfig("default", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=6_000_000),
     # The paper's network, trained with the recipe that works.
-    "large": TrainConfig("large", NetworkConfig(), maps=2_000_000, learning_rate=1e-3, warmup=500),
+    "large": TrainConfig("large", NetworkConfig(), maps=2_000_000, learning_rate=2e-3, warmup=1000),
     # Algorithm 1 as printed: RMSprop 0.01, mini-batches of 16 records x 7 robots, one epoch, every patch attended.
     "paper": TrainConfig(
         "paper",

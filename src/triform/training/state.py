@@ -18,9 +18,7 @@ _MODULE = "module."
 _OPTIMIZER = "optimizer."
 
 
-def save_state(
-    path: Path, module: nn.Module, optimizer: torch.optim.Optimizer, progress: dict[str, Any]
-) -> None:
+def save_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer, progress: dict[str, Any]) -> None:
     """Write weights, optimiser state and ``progress`` (plain JSON values) to ``path``, atomically.
 
     Raises:

@@ -1,0 +1,125 @@
+"""The command line: parses, calls, prints."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from triform import __version__
+from triform.types import TriformError
+
+#: Extras of the package, by the modules that they install.
+_EXTRAS = {
+    "pyarrow": "evaluate",
+    "matplotlib": "evaluate",
+    "PIL": "evaluate",
+    "torch": "train",
+    "safetensors": "train",
+    "tensorboard": "train",
+    "onnx": "train",
+    "onnxscript": "train",
+}
+
+
+def _collect() -> tuple[Any, Callable[..., Any]]:
+    from triform.commands import Collect
+
+    return Collect, Collect.run
+
+
+def _train() -> tuple[Any, Callable[..., Any]]:
+    from triform.commands import Train
+
+    return Train, Train.run
+
+
+def _export() -> tuple[Any, Callable[..., Any]]:
+    from triform.commands import Export
+
+    return Export, Export.run
+
+
+def _evaluate() -> tuple[Any, Callable[..., Any]]:
+    from triform.evaluation import EvaluateConfig, run_evaluation
+
+    return EvaluateConfig, run_evaluation
+
+
+def _dynamic() -> tuple[Any, Callable[..., Any]]:
+    from triform.evaluation import DynamicConfig, run_dynamic
+
+    return DynamicConfig, run_dynamic
+
+
+def _reproduce() -> tuple[Any, Callable[..., Any]]:
+    from triform.evaluation import ReproduceConfig, reproduce
+    from triform.evaluation.reproduce import What
+
+    @dataclass(frozen=True)
+    class Reproduce(ReproduceConfig):
+        __doc__ = ReproduceConfig.__doc__
+        what: Annotated[What, tyro.conf.Positional] = "all"
+
+    return Reproduce, reproduce
+
+
+def _demo() -> tuple[Any, Callable[..., Any]]:
+    from triform.evaluation import DemoConfig, run_demo
+
+    return DemoConfig, run_demo
+
+
+#: What each command does, and how to load its options and its function.
+COMMANDS: dict[str, tuple[str, Callable[[], tuple[Any, Callable[..., Any]]]]] = {
+    "demo": ("run one team and draw it", _demo),
+    "evaluate": ("measure a controller on many starts", _evaluate),
+    "dynamic": ("measure teams that a robot joins or leaves", _dynamic),
+    "reproduce": ("write the paper's tables and figures", _reproduce),
+    "collect": ("collect demonstrations", _collect),
+    "train": ("train a policy", _train),
+    "export": ("make a trained policy run without PyTorch", _export),
+}
+
+
+def _overview() -> str:
+    lines = [f"triform {__version__}", "", "usage: triform COMMAND [options]", ""]
+    lines += [f"  {name:<10} {summary}" for name, (summary, _) in COMMANDS.items()]
+    return "\n".join([*lines, "", "triform COMMAND --help shows a command's options."])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status: 0 done, 1 it could not be done, 2 wrong usage."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    errors = Console(stderr=True)
+    if given in (["--version"], ["--help"], ["-h"]):
+        sys.stdout.write((__version__ if given == ["--version"] else _overview()) + "\n")
+        return 0
+    if not given or given[0] not in COMMANDS:
+        problem = f"there is no command {given[0]!r}" if given else "a command is missing"
+        sys.stderr.write(f"triform: {problem}\n\n{_overview()}\n")
+        return 2
+    try:
+        options, run = COMMANDS[given[0]][1]()
+        run(tyro.cli(options, prog=f"triform {given[0]}", args=given[1:]), Console())
+    except TriformError as error:
+        errors.print(f"triform: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
+        return 1
+    except ModuleNotFoundError as error:
+        extra = _EXTRAS.get((error.name or "").split(".")[0])
+        if extra is None:
+            raise
+        sys.stderr.write(f"triform: {given[0]} needs {error.name}; install it with: pip install 'triform[{extra}]'\n")
+        return 1
+    except KeyboardInterrupt:
+        sys.stderr.write("triform: interrupted; what was finished is kept\n")
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,145 @@
+"""Commands that have no room of their own: their options, and the call that each makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from triform.types import ConfigurationError
+
+
+@dataclass(frozen=True)
+class Collect:
+    """Options of ``triform collect``.
+
+    Attributes:
+        out: Folder of the data set; a collection that was stopped there is finished.
+        preset: ``paper`` is the paper's 600 x 1000 records plus 400,000 placements, ``quick`` takes seconds.
+        teacher: Who demonstrates: ``expert-sensed`` sees 2 m, ``expert`` everybody. The preset's if omitted.
+        seed: Seed of everything random. The preset's if omitted.
+        runs: Roll-outs. The preset's if omitted.
+        steps: Records of one roll-out. The preset's if omitted.
+        placements: Random placements. The preset's if omitted.
+        workers: Shards collected side by side; one for each processor if omitted.
+    """
+
+    out: Path
+    preset: Literal["paper", "quick"] = "quick"
+    teacher: str | None = None
+    seed: int | None = None
+    runs: int | None = None
+    steps: int | None = None
+    placements: int | None = None
+    workers: int | None = None
+
+    def run(self, console: Console) -> None:
+        """Collect, with progress."""
+        from triform.dataset import PRESETS, collect
+
+        names = ("teacher", "seed", "runs", "steps", "placements")
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        config = replace(PRESETS[self.preset], **given)
+        with _progress(console, "maps/s") as bar:
+            task = bar.add_task("collecting", total=config.maps, rate=0.0)
+            manifest = collect(
+                self.out,
+                config,
+                self.workers,
+                lambda done, total: bar.update(task, completed=done, total=total, rate=bar.tasks[0].speed or 0.0),
+            )
+        size = sum(shard.bytes for shard in manifest.shards) / 1e6
+        console.print(f"{config.maps:,} maps in {len(manifest.shards)} shards, {size:,.1f} MB, in {self.out}")
+
+
+@dataclass(frozen=True)
+class Train:
+    """Options of ``triform train``.
+
+    Attributes:
+        out: Folder for state, logs and the best and last policy.
+        preset: ``default`` is the small network, ``large`` the paper's with the same recipe, ``paper`` Algorithm 1 as
+            printed, which needs ``--data``.
+        data: Stored demonstrations; fresh ones are drawn if omitted.
+        maps: Maps to train on. The preset's if omitted.
+        teacher: Who labels: ``expert-sensed`` or ``expert``. The preset's if omitted.
+        learning_rate: Peak learning rate. The preset's if omitted.
+        seed: Seed of weights and data. The preset's if omitted.
+        device: PyTorch device, such as ``cpu`` or ``cuda``.
+        threads: Threads of PyTorch on the CPU.
+        resume: Continue the run in ``out`` exactly where it stopped.
+    """
+
+    out: Path
+    preset: Literal["default", "large", "paper"] = "default"
+    data: Path | None = None
+    maps: int | None = None
+    teacher: str | None = None
+    learning_rate: float | None = None
+    seed: int | None = None
+    device: str = "cpu"
+    threads: int = 1
+    resume: bool = False
+
+    def run(self, console: Console) -> None:
+        """Train, with progress."""
+        import torch
+
+        from triform.training import get_preset, train
+
+        if self.threads < 1:
+            raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
+        torch.set_num_threads(self.threads)
+        names = ("maps", "teacher", "learning_rate", "seed")
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        config = replace(get_preset(self.preset), **given)
+        with _progress(console, "maps/s") as bar:
+            task = bar.add_task("training", total=None, rate=0.0)
+            best = train(
+                config,
+                self.out,
+                data=self.data,
+                resume=self.resume,
+                device=self.device,
+                report=lambda at: bar.update(
+                    task,
+                    completed=at.step,
+                    total=at.steps,
+                    rate=at.maps_per_second,
+                    description=f"training, loss {at.loss:.4f}",
+                ),
+            )
+        console.print(f"best policy: {best}; use it with --weights {best} after: triform export {best}")
+
+
+@dataclass(frozen=True)
+class Export:
+    """Options of ``triform export``.
+
+    Attributes:
+        folder: Folder of a policy; ``model.onnx`` is written into it.
+    """
+
+    folder: Annotated[Path, tyro.conf.Positional]
+
+    def run(self, console: Console) -> None:
+        """Export and say where to."""
+        from triform.policy.export import export_policy
+
+        console.print(f"wrote {export_policy(self.folder)}", soft_wrap=True)
+
+
+def _progress(console: Console, unit: str) -> Progress:
+    """A bar with the rate of the work and the time left."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[rate]:,.0f} " + unit),
+        TimeRemainingColumn(elapsed_when_finished=True),
+        console=console,
+    )

@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from triform.evaluation import EvaluateConfig, Scenario, evaluate, run_evaluation
+from triform.evaluation import scenario as scenario_module
+from triform.evaluation.scenario import batches, world_seeds
+from triform.simulation import starts
+from triform.types import ConfigurationError, TriformError
+
+QUICK = {"controller": "expert-sensed", "robots": (3, 4), "runs": 3, "duration": 6.0, "seed": 5}
+PROMISED = {
+    "robots", "runs", "success", "success_sensed", "strict", "formation_error_median", "formation_error_p95",
+    "converge_time_median", "compactness_mean", "min_distance", "collision",
+}  # fmt: skip
+
+
+def test_files_hold_the_promised_form_and_every_run(tmp_path, console):
+    config = EvaluateConfig(json=tmp_path / "deep" / "out.json", **QUICK)
+    evaluation = run_evaluation(config, console)
+    written = json.loads((tmp_path / "deep" / "out.json").read_text())
+    assert set(written) >= {"config", "wall_seconds", "results"}
+    assert written["config"]["seed"] == 5
+    assert written["config"]["controller_description"]["name"] == "expert-sensed"
+    assert [result["robots"] for result in written["results"]] == [3, 4]
+    for result in written["results"]:
+        assert set(result) >= PROMISED
+    frame = pd.read_parquet(tmp_path / "deep" / "out.parquet")
+    assert len(frame) == 6
+    assert frame.run.tolist() == [0, 1, 2] * 2
+    assert written["results"][1]["success"] == frame[frame.robots == 4].success.mean()
+    np.testing.assert_array_equal(frame.formation_error, evaluation.runs["formation_error"])
+    shown = console.file.getvalue()
+    assert "success" in shown
+    assert "out.parquet" in shown
+
+
+def test_nothing_is_written_unasked(tmp_path, console, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run_evaluation(EvaluateConfig(**QUICK), console)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("profile", ["ideal", "hardware"])
+def test_results_do_not_depend_on_how_runs_are_batched(profile, monkeypatch):
+    config = EvaluateConfig(**(QUICK | {"profile": profile}))
+    together = evaluate(config).runs
+    monkeypatch.setattr(scenario_module, "ROBOTS_AT_ONCE", 4)
+    assert [part.stop - part.start for part in batches(3, 4)] == [1, 1, 1]
+    apart = evaluate(config).runs
+    for name, column in together.items():
+        np.testing.assert_array_equal(apart[name], column, err_msg=name)
+
+
+def test_a_run_is_a_function_of_size_seed_and_index():
+    few = evaluate(EvaluateConfig(**QUICK)).runs
+    more = evaluate(EvaluateConfig(**(QUICK | {"robots": (4,), "runs": 5}))).runs
+    np.testing.assert_array_equal(more["formation_error"][:3], few["formation_error"][3:])
+
+
+def test_batches_hold_at_least_one_run_and_cover_all():
+    assert [(part.start, part.stop) for part in batches(5, 3, 6)] == [(0, 2), (2, 4), (4, 5)]
+    assert [(part.start, part.stop) for part in batches(2, 3000)] == [(0, 1), (1, 2)]
+
+
+def test_world_seeds_differ_between_runs_sizes_and_purposes():
+    states = {
+        tuple(seed.generate_state(2))
+        for sequences in (world_seeds(3, 7, 4), world_seeds(4, 7, 4), world_seeds(3, 7, 4, purpose=9))
+        for seed in sequences
+    }
+    assert len(states) == 12
+
+
+def test_explicit_starts_decide_sizes_and_disconnected_ones_are_reported_apart(tmp_path):
+    rows = [(0, i, x, 0.0, 0.0) for i, x in enumerate([0.0, 1.0])]
+    rows += [(1, i, x, 0.0, 0.0) for i, x in enumerate([0.0, 1.0, 2.0])]
+    rows += [(2, i, x, 0.0, 0.0) for i, x in enumerate([0.0, 3.0])]
+    np.save(tmp_path / "starts.npy", np.array(rows))
+    evaluation = evaluate(EvaluateConfig(**(QUICK | {"starts": tmp_path / "starts.npy"})))
+    assert [(result["robots"], result["runs"], result["success"]) for result in evaluation.results] == [
+        (2, 1, 1.0),
+        (3, 1, 1.0),
+    ]
+    assert [(result["robots"], result["runs"]) for result in evaluation.disconnected_starts] == [(2, 1)]
+    assert evaluation.runs["run"].tolist() == [0, 2, 1]
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_the_smallest_teams_have_defined_results(robots, tmp_path, console):
+    path = tmp_path / "out.json"
+    run_evaluation(EvaluateConfig(**(QUICK | {"robots": (robots,), "json": path})), console)
+    result = json.loads(path.read_text())["results"][0]
+    assert result["runs"] == 3
+    assert result["success"] == (0 if robots == 1 else 1)
+    assert (result["formation_error_median"] is None) == (robots == 1)
+
+
+def test_arena_hits_are_reported(tmp_path):
+    scenario = Scenario(controller="expert-sensed", arena="room-6", duration=6.0)
+    trajectory, world = scenario.run(np.array([[[2.95, 0.0, 0.0], [1.95, 0.0, 0.0]]]), world_seeds(2, 0, 1))
+    assert scenario.measure(trajectory, world)["hit_arena"].all()
+
+
+def test_finished_sizes_survive_an_interruption(tmp_path, console, monkeypatch):
+    class Interrupted:
+        privileged = False
+        description = {"name": "interrupted"}  # noqa: RUF012
+
+        def command(self, view):
+            if view.active.shape[1] == 4:
+                raise KeyboardInterrupt
+            return np.zeros((*view.active.shape, 3))
+
+    monkeypatch.setattr(scenario_module, "make_controller", lambda *args, **options: Interrupted())
+    with pytest.raises(KeyboardInterrupt):
+        run_evaluation(EvaluateConfig(json=tmp_path / "out.json", **QUICK), console)
+    written = json.loads((tmp_path / "out.json").read_text())
+    assert [result["robots"] for result in written["results"]] == [3]
+    assert len(pd.read_parquet(tmp_path / "out.parquet")) == 3
+
+
+def test_bad_output_is_refused_before_anything_runs(tmp_path, console, monkeypatch):
+    monkeypatch.setattr(scenario_module, "make_controller", lambda *args, **options: pytest.fail("too late"))
+    with pytest.raises(TriformError, match="cannot write"):
+        run_evaluation(EvaluateConfig(json=tmp_path, **QUICK), console)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"robots": ()}, "robots is empty"),
+        ({"robots": (3, 0)}, "robots is 0"),
+        ({"runs": 0}, "runs is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"distance": -1.0}, "distance is -1"),
+        ({"duration": float("nan")}, "duration is nan"),
+    ],
+)
+def test_bad_settings_are_refused(changes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        EvaluateConfig(**(QUICK | changes))
+
+
+@pytest.mark.parametrize("changes", [{"controller": "magic"}, {"profile": "magic"}, {"arena": "magic"}])
+def test_unknown_names_are_refused(changes):
+    with pytest.raises(TriformError, match="magic"):
+        evaluate(EvaluateConfig(**(QUICK | changes)))
+
+
+def test_a_run_too_short_to_be_measured_is_refused():
+    with pytest.raises(TriformError, match="at least that long"):
+        evaluate(EvaluateConfig(**(QUICK | {"duration": 2.0})))
+
+
+def test_scenario_run_starts_where_it_is_told():
+    poses = starts(3, 2, 1)
+    trajectory, _ = Scenario(controller="expert", duration=1.0).run(poses, world_seeds(3, 1, 2))
+    np.testing.assert_allclose(trajectory.poses[:, 0], poses)
