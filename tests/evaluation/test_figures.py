@@ -20,7 +20,7 @@ from triform.evaluation.style import (
     robot_colours,
     save_figure,
 )
-from triform.simulation import ROBOMASTER_EP, Footprint, get_arena
+from triform.simulation import ROBOMASTER_EP, Arena, Footprint, get_arena
 from triform.types import TriformError
 
 
@@ -49,9 +49,15 @@ def test_every_edge_is_drawn_once():
 
 
 def test_bounds_ignore_absent_robots():
-    middle, half = bounds(np.array([[0.0, 0.0], [2.0, 1.0], [np.nan, np.nan]]), margin=0.5)
+    middle, half = bounds(np.array([[0.0, 0.0], [2.0, 1.0], [np.nan, np.nan]]), Arena.open(), margin=0.5)
     np.testing.assert_allclose(middle, [1.0, 0.5])
     assert half == pytest.approx(1.5)
+
+
+def test_bounds_hold_the_whole_arena():
+    middle, half = bounds(np.zeros((1, 2)), Arena.room(6.0, 4.0, center=(1.0, 0.0)), margin=0.0)
+    np.testing.assert_allclose(middle, [1.0, 0.0])
+    assert half == pytest.approx(3.0)
 
 
 def test_colours_differ():

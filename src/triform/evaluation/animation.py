@@ -104,7 +104,7 @@ class _Drawing:
         self.sensed = gabriel_graph(positions, SENSING_RANGE, active)
         self.axes = figure.add_axes((0.085, 0.075, 0.895, 0.865))
         draw_arena(self.axes, scene.arena)
-        frame(self.axes, positions)
+        frame(self.axes, positions, scene.arena)
         self.axes.set_xlabel("x [m]")
         self.axes.set_ylabel("y [m]")
         # Typed as anything because its methods carry no types.

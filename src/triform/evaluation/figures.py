@@ -87,7 +87,7 @@ def draw_trajectories(axes: Axes, trajectory: Trajectory, scene: Scene, half_sid
         here = np.flatnonzero(np.isfinite(path[:, 0]))[0]
         axes.plot(*path[here, :2], "o", mfc="white", mec=colour, mew=1.1, ms=4.5, zorder=3)
     draw_formation(axes, poses[-1], scene, colours)
-    frame(axes, poses[..., :2], half_side)
+    frame(axes, poses[..., :2], scene.arena, half_side)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
 
@@ -152,7 +152,7 @@ def figure_3(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
     with figure_style():
         columns = len(trajectories)
         figure, axes = plt.subplots(2, columns, figsize=(2.75 * columns, 5.3), squeeze=False)
-        half_side = max(bounds(trajectory.positions)[1] for trajectory in trajectories)
+        half_side = max(bounds(trajectory.positions, scene.arena)[1] for trajectory in trajectories)
         for column, trajectory in enumerate(trajectories):
             upper, lower = axes[:, column]
             draw_distances(upper, trajectory, scene)
@@ -232,7 +232,7 @@ def _draw_change(figure: Figure, grid: Any, row: int, change: TeamChange, scene:
     for column, (record, name) in enumerate(moments):
         axes = figure.add_subplot(grid[row, column])
         _draw_snapshot(axes, change, changed, record, scene)
-        frame(axes, everywhere)
+        frame(axes, everywhere, scene.arena)
         axes.set_title(f"{trajectory.time[record]:.1f} s, {name}", loc="left")
         axes.set_xlabel("x [m]")
         axes.set_ylabel(f"{change.title}\ny [m]" if column == 0 else "")

@@ -199,10 +199,10 @@ class _Reproduction:
             "fig3",
             "Fig. 3: distances and trajectories",
             f"The first start of every team size with seed {self.config.seed}, not selected by outcome. Above: "
-            "distances over time of the pairs that end as Gabriel neighbours, in orange-red those that end out of sensing "
-            "range; the green line is the prescribed distance, the band 10 % around it. Below: where every "
-            "robot started (ring), went (line) and ended (footprint, white line to the front), and the final graph, "
-            f"dashed where it is longer than robots can sense. {LEGEND}",
+            "distances over time of the pairs that end as Gabriel neighbours, orange-red if out of "
+            "sensing range at the end; the green line is the prescribed distance, the band 10 % around it. Below: "
+            "where every robot started (ring), went (line) and ended (footprint, white line to the front), and the "
+            f"final graph, dashed where it is longer than robots can sense. {LEGEND}",
             (headings, rows),
             image="fig3.png",
         )
@@ -220,8 +220,8 @@ class _Reproduction:
             "fig4",
             "Fig. 4: formation error and converge time",
             f"{self.config.runs} runs per team size. Boxes span the quartiles with the median inside, whiskers "
-            "reach 1.5 times as far, dots are the runs beyond. Orange-red: the paper's range of median errors, its median "
-            "converge time and its success. Runs that never converge have no converge time, so panel b shows "
+            "reach 1.5 times as far, dots are the runs beyond. Orange-red: the paper's range of median errors, its "
+            "median converge time and its success. Runs that never converge have no converge time, so panel b shows "
             f"the n others only. {LEGEND}",
             (headings, rows),
             image="fig4.png",
@@ -244,8 +244,8 @@ class _Reproduction:
         section = self._section(
             "fig5",
             "Fig. 5: a robot comes, a robot goes",
-            "Above, a robot (orange) comes to six at 21 s; below, one of seven (orange-red) goes. Shown is the first start "
-            "that had formed before the change and whose sensing graph is connected right after it. The table is "
+            "Above, a robot (orange) comes to six at 21 s; below, one of seven (orange-red) goes. Shown is the first "
+            "start that had formed before the change and whose sensing graph is connected right after it. The table is "
             f"over {self.config.runs} random additions and as many removals to teams of 7. Back: the mean error of "
             "5 s is below 10 % again within 19 s and stays there; linked: right after the change the pairs within 2 m "
             "still connect everybody; sensed: back, over pairs within 2 m; recovery time: median, at least 5 s as "

@@ -7,26 +7,22 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from triform.evaluation.output import atomic_path
 from triform.geometry import body_to_world
 from triform.simulation import Arena, Footprint
-from triform.types import BoolArray, FloatArray, TriformError
+from triform.types import BoolArray, FloatArray
 
-try:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-    from matplotlib.axes import Axes
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.collections import LineCollection, PolyCollection
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.ticker import MaxNLocator
-except ImportError as missing:
-    raise TriformError("figures need matplotlib, which is not installed: pip install 'triform[evaluate]'") from missing
+mpl.use("Agg")
 
 __all__ = [
     "BLUE",
@@ -157,17 +153,17 @@ def draw_arena(axes: Axes, arena: Arena) -> None:
         axes.add_patch(mpl.patches.Circle((x, y), radius, facecolor=GREY, edgecolor=INK, zorder=1))
 
 
-def bounds(points: FloatArray, margin: float = 0.4) -> tuple[FloatArray, float]:
-    """Return centre (2,) and half side of the square that holds ``points`` (..., 2) with a margin [m]."""
-    flat = points.reshape(-1, 2)
-    flat = flat[np.isfinite(flat).all(axis=-1)]
-    low, high = flat.min(axis=0), flat.max(axis=0)
+def bounds(points: FloatArray, arena: Arena, margin: float = 0.4) -> tuple[FloatArray, float]:
+    """Return centre (2,) and half side of the square that holds ``points`` (..., 2) and the arena [m]."""
+    corners = np.concatenate([arena.walls.reshape(-1, 2), arena.pillars[:, :2], points.reshape(-1, 2)])
+    corners = corners[np.isfinite(corners).all(axis=-1)]
+    low, high = corners.min(axis=0), corners.max(axis=0)
     return (low + high) / 2, float((high - low).max() / 2 + margin)
 
 
-def frame(axes: Axes, points: FloatArray, half_side: float | None = None) -> None:
-    """Show a square region around ``points`` (..., 2), in metres, of their own or a given half side."""
-    middle, half = bounds(points)
+def frame(axes: Axes, points: FloatArray, arena: Arena, half_side: float | None = None) -> None:
+    """Show the square around ``points`` (..., 2) and the arena, in metres, of its own or a given half side."""
+    middle, half = bounds(points, arena)
     half = half_side or half
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half, middle[1] + half)

@@ -76,7 +76,7 @@ PRESETS = {
     # The smallest network that loses nothing, see docs/results.md.
     "default": TrainConfig("default", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=6_000_000),
     # The paper's network, trained with the recipe that works.
-    "large": TrainConfig("large", NetworkConfig(), maps=2_000_000, learning_rate=2e-3, warmup=1000),
+    "large": TrainConfig("large", NetworkConfig(), maps=2_000_000, learning_rate=4e-4, warmup=500),
     # Algorithm 1 as printed: RMSprop 0.01, mini-batches of 16 records x 7 robots, one epoch, every patch attended.
     "paper": TrainConfig(
         "paper",

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from triform.policy import NetworkConfig, PackedMaps, PolicyRuntime, PolicySpec, pack, read_spec
+from triform.policy.export import export_policy
+from triform.policy.vit import VisionTransformer, token_batch
+from triform.policy.weights import load_policy, save_policy
+from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig, TriformError
+
+SPEC = PolicySpec(
+    NetworkConfig(map_size=20, patch=5, dim=16, depth=2, heads=4, mlp=24),
+    ScanConfig(),
+    MapConfig(size=20, cell=0.2, max_cells=50),
+    training={"seed": 3},
+)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("policy") / "small"
+    torch.manual_seed(0)
+    network = VisionTransformer(SPEC.network)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.2 * torch.randn_like(parameter))
+    save_policy(folder, network, SPEC)
+    export_policy(folder)
+    return folder
+
+
+def copy(folder: Path, to: Path) -> Path:
+    to.mkdir()
+    for file in folder.iterdir():
+        (to / file.name).write_bytes(file.read_bytes())
+    return to
+
+
+def some_maps(count: int) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    return (rng.random((count, 20, 20)) < rng.uniform(0, 0.1, (count, 1, 1))).astype(np.uint8)
+
+
+def test_a_policy_comes_back_as_it_was_saved(exported: Path) -> None:
+    network, spec = load_policy(exported)
+    assert spec == SPEC
+    torch.manual_seed(0)
+    fresh = VisionTransformer(SPEC.network)
+    assert [tuple(p.shape) for p in network.parameters()] == [tuple(p.shape) for p in fresh.parameters()]
+
+
+def test_onnx_runtime_equals_pytorch_for_any_number_of_patches(exported: Path) -> None:
+    network, _ = load_policy(exported)
+    maps = np.concatenate([some_maps(600), np.zeros((2, 20, 20), np.uint8), np.ones((2, 20, 20), np.uint8)])
+    packed = pack(maps, 5)
+    with torch.no_grad():
+        expected = network(token_batch(packed)).numpy()
+    commands = PolicyRuntime(exported, threads=1).commands(packed)
+    assert commands.shape == (604, 3)
+    np.testing.assert_allclose(commands, expected, atol=1e-4)
+
+
+def test_no_maps_give_no_commands(exported: Path) -> None:
+    nothing = PackedMaps(np.empty((0, 25), np.uint8), np.empty(0, np.int64), np.empty(0, np.int64))
+    assert PolicyRuntime(exported, threads=1).commands(nothing).shape == (0, 3)
+
+
+def test_the_weights_stand_in_one_file_only(exported: Path) -> None:
+    weights = (exported / "model.safetensors").read_bytes()
+    (length,) = struct.unpack_from("<Q", weights)
+    graph = (exported / "model.onnx").read_bytes()
+    header = json.loads(weights[8 : 8 + length])
+    begin, end = header["blocks.0.qkv.weight"]["data_offsets"]
+    assert weights[8 + length + begin : 8 + length + end] not in graph
+
+
+def test_a_foreign_or_damaged_folder_is_refused(exported: Path, tmp_path: Path) -> None:
+    with pytest.raises(TriformError, match="holds no policy"):
+        read_spec(tmp_path)
+    broken = copy(exported, tmp_path / "json")
+    (broken / "model.json").write_text("{")
+    with pytest.raises(TriformError, match="not a readable policy"):
+        read_spec(broken)
+    (broken / "model.json").write_text(json.dumps({"format": "other", "version": 1}))
+    with pytest.raises(TriformError, match="does not describe a triform policy"):
+        read_spec(broken)
+    (broken / "model.json").write_text(SPEC.to_json().replace('"version": 1', '"version": 99'))
+    with pytest.raises(TriformError, match="version 99"):
+        read_spec(broken)
+    (broken / "model.json").write_text(SPEC.to_json().replace('"dim": 16', '"dim": 32'))
+    with pytest.raises(TriformError, match="do not fit"):
+        load_policy(broken)
+
+    truncated = copy(exported, tmp_path / "weights")
+    (truncated / "model.safetensors").write_bytes((exported / "model.safetensors").read_bytes()[:-100])
+    with pytest.raises(TriformError, match="cannot read the weights"):
+        load_policy(truncated)
+    with pytest.raises(TriformError, match="cannot load the policy"):
+        PolicyRuntime(truncated)
+
+    bare = copy(exported, tmp_path / "bare")
+    (bare / "model.onnx").unlink()
+    with pytest.raises(TriformError, match="triform export"):
+        PolicyRuntime(bare)
+    with pytest.raises(ConfigurationError, match="threads"):
+        PolicyRuntime(exported, threads=0)
+
+
+def test_a_failed_write_leaves_the_old_policy(exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = copy(exported, tmp_path / "policy")
+
+    def full(self: Path, target: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(TriformError, match="No space left"):
+        save_policy(folder, VisionTransformer(SPEC.network), SPEC)
+    monkeypatch.undo()
+    assert sorted(f.name for f in folder.iterdir()) == ["model.json", "model.onnx", "model.safetensors"]
+    assert (folder / "model.safetensors").read_bytes() == (exported / "model.safetensors").read_bytes()
+
+
+def test_scans_that_make_other_maps_are_refused() -> None:
+    spec = PolicySpec(NetworkConfig(), ScanConfig(), MapConfig())
+    spec.check_scan(Scan(np.zeros(450), ScanConfig()))
+    spec.check_scan(Scan(np.zeros(667), ScanConfig(rays=667, range_min=0.1)))
+    with pytest.raises(ConfigurationError, match="sensing range"):
+        spec.check_scan(Scan(np.zeros(450), ScanConfig(range_max=8.0)))
+    with pytest.raises(ConfigurationError, match="more than a cell apart"):
+        spec.check_scan(Scan(np.zeros(90), ScanConfig(rays=90)))
+
+
+def test_a_network_for_other_maps_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="cells"):
+        PolicySpec(NetworkConfig(), ScanConfig(), MapConfig(size=50))
