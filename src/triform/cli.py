@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import field, make_dataclass
 from typing import Annotated, Any
 
 import tyro
@@ -57,19 +57,16 @@ def _dynamic() -> tuple[Any, Callable[..., Any]]:
 
 
 def _reproduce() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation import ReproduceConfig, reproduce
-    from triform.evaluation.reproduce import What
+    from triform.evaluation.reproduce import ReproduceConfig, What, reproduce
 
-    @dataclass(frozen=True)
-    class Reproduce(ReproduceConfig):
-        __doc__ = ReproduceConfig.__doc__
-        what: Annotated[What, tyro.conf.Positional] = "all"
-
-    return Reproduce, reproduce
+    what = ("what", Annotated[What, tyro.conf.Positional], field(default="all"))
+    options = make_dataclass("Reproduce", [what], bases=(ReproduceConfig,), frozen=True)
+    options.__doc__ = ReproduceConfig.__doc__
+    return options, reproduce
 
 
 def _demo() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation import DemoConfig, run_demo
+    from triform.evaluation.demo import DemoConfig, run_demo
 
     return DemoConfig, run_demo
 

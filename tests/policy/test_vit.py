@@ -52,9 +52,12 @@ class MaskedDense(nn.Module):
         empty = torch.cat([torch.zeros(len(maps), 1, dtype=torch.bool), (cut == 0).all(-1)], 1)
         for block, attention in zip(net.blocks, self.attention, strict=True):
             normed = block.norm_attention(x)
-            x = x + attention(
-                normed, normed, normed, key_padding_mask=empty if self.mask_empty else None, need_weights=False
-            )[0]
+            x = (
+                x
+                + attention(
+                    normed, normed, normed, key_padding_mask=empty if self.mask_empty else None, need_weights=False
+                )[0]
+            )
             x = x + block.contract(nn.functional.gelu(block.expand(block.norm_mlp(x))))
         return net.head(net.norm(x[:, 0]))
 

@@ -154,9 +154,7 @@ def test_auxiliary_targets_tell_where_the_robot_is() -> None:
     assert tokens.patches.shape[0] == len(batch.targets)
     # With one other robot, its term of Eq. 8 is the whole command, up to the clip at 1 m/s.
     owner = np.repeat(np.arange(len(batch.commands)), batch.packed.counts)
-    np.testing.assert_allclose(
-        batch.targets[batch.valid, :2], batch.commands[owner[batch.valid], :2], atol=1e-5
-    )
+    np.testing.assert_allclose(batch.targets[batch.valid, :2], batch.commands[owner[batch.valid], :2], atol=1e-5)
     assert (batch.targets[batch.valid, 4] == 1).all()
 
 

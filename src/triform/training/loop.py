@@ -166,7 +166,7 @@ def train(
     torch.manual_seed(config.seed)
     learner = Learner(config).to(target)
     optimizer = make_optimizer(config, learner)
-    record: dict[str, Any] = {"step": 0, "maps": 0, "best": math.inf}
+    record: dict[str, Any] = {"step": 0, "maps": 0, "loss": math.nan, "best": math.inf}
     state_path = out / STATE_FILE
     if resume and state_path.exists():
         load_state(state_path, learner, optimizer)
@@ -176,7 +176,6 @@ def train(
     validate_every = max(1, steps // 50)
     checks = source.validation()
     began, maps_before, saved = time.monotonic(), record["maps"], time.monotonic()
-    recent = 0.0
 
     with Prefetched(source.batches(record["step"])) as batches, TrainingLog(out, record["step"]) as log:
         for step in range(record["step"], steps):
@@ -193,14 +192,14 @@ def train(
             loss = float(command.detach())
             if not math.isfinite(loss):
                 raise TriformError(f"training diverged at step {step + 1}: the loss is {loss}")
-            recent = loss if step == record["step"] else 0.98 * recent + 0.02 * loss
+            record["loss"] = loss if step == 0 else 0.98 * record["loss"] + 0.02 * loss
             record["maps"] += len(batch.commands)
             done = step + 1
             rate = (record["maps"] - maps_before) / max(time.monotonic() - began, 1e-9)
-            report(Progress(done, steps, record["maps"], rate, recent))
+            report(Progress(done, steps, record["maps"], rate, record["loss"]))
             if done % validate_every == 0 or done == steps:
                 scores = validate(learner, checks, target)
-                log.write(done, {"maps": record["maps"], "loss": recent, "maps_per_second": rate, **scores})
+                log.write(done, {"maps": record["maps"], "loss": record["loss"], "maps_per_second": rate, **scores})
                 save_policy(out / "last", learner.policy, spec)
                 if scores["error_mean"] < record["best"]:
                     record["best"] = scores["error_mean"]
