@@ -20,7 +20,7 @@ class Collect:
     Attributes:
         out: Folder of the data set; a collection that was stopped there is finished.
         preset: ``paper`` is the paper's 600 x 1000 records plus 400,000 placements, ``quick`` takes seconds.
-        teacher: Who demonstrates: ``expert-sensed`` sees 2 m, ``expert`` everybody. The preset's if omitted.
+        teacher: Who demonstrates: ``expert`` sees everybody, ``expert-sensed`` 2 m. The preset's if omitted.
         seed: Seed of everything random. The preset's if omitted.
         runs: Roll-outs. The preset's if omitted.
         steps: Records of one roll-out. The preset's if omitted.

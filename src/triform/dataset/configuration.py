@@ -56,7 +56,7 @@ class CollectionConfig:
     steps: int = 1000
     placements: int = 400_000
     seed: int = 1
-    teacher: str = "expert-sensed"
+    teacher: str = "expert"
     gain: float = 1.0
     max_speed: float = 1.0
     speed_limit: float = 0.5

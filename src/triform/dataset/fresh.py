@@ -38,7 +38,7 @@ class StateConfig:
             robots' scans by default, so that states are drawn from where such robots end up.
     """
 
-    robots: tuple[int, ...] = tuple(range(4, 14))
+    robots: tuple[int, ...] = tuple(range(1, 14))
     side: float = 5.0
     min_spacing: float = 0.45
     moved: float = 0.4

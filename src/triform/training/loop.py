@@ -133,6 +133,20 @@ def _check_same_run(out: Path, config: TrainConfig, resume: bool) -> None:
         raise TriformError(f"cannot write to {out}: {error}") from error
 
 
+def usable_device(name: str) -> torch.device:
+    """The PyTorch device called ``name``.
+
+    Raises:
+        TriformError: If there is none, or this installation cannot use it.
+    """
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise TriformError(f"PyTorch cannot use the device {name!r}: {str(error).splitlines()[0]}") from error
+    return device
+
+
 def train(
     config: TrainConfig,
     out: Path,
@@ -160,9 +174,9 @@ def train(
     Raises:
         TriformError: If a folder, the data or the device do not fit, or the loss stops being finite.
     """
+    target = usable_device(device)
     source = open_source(config, data)
     _check_same_run(out, config, resume)
-    target = torch.device(device)
     torch.manual_seed(config.seed)
     learner = Learner(config).to(target)
     optimizer = make_optimizer(config, learner)

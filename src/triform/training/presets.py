@@ -28,7 +28,7 @@ class TrainConfig:
         loss: ``norm`` is the mean Euclidean norm of the command error, ``mse`` its mean square.
         auxiliary: Weight of the auxiliary loss on tokens; fresh demonstrations only.
         distance: Prescribed neighbour distance d* [m].
-        teacher: Who labels fresh demonstrations.
+        teacher: Who labels the demonstrations.
         seed: Seed of weights and data.
         states: Which fresh states are drawn.
         scan: The LiDAR.
@@ -48,7 +48,7 @@ class TrainConfig:
     loss: Literal["norm", "mse"] = "norm"
     auxiliary: float = 1.0
     distance: float = 1.0
-    teacher: str = "expert-sensed"
+    teacher: str = "expert"
     seed: int = 1
     states: StateConfig = field(default_factory=StateConfig)
     scan: ScanConfig = field(default_factory=ScanConfig)

@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pyarrow.parquet as parquet
+import pytest
+
+from triform import __version__
+from triform.cli import COMMANDS, main
+
+
+def test_version_and_overview(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == __version__
+    assert main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in COMMANDS)
+
+
+@pytest.mark.parametrize("arguments", [[], ["nonsense"]])
+def test_a_wrong_command_is_wrong_usage(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    assert "usage: triform COMMAND" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_status:
+        main([name, "--help"])
+    assert exit_status.value.code == 0
+    assert f"usage: triform {name}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["evaluate", "--runs", "0"], "runs is 0"),
+        (["evaluate", "--robots", "0"], "robots is 0"),
+        (["reproduce", "fig99"], "fig99"),
+        (["train"], "--out"),
+    ],
+)
+def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_status:
+        main(arguments)
+    assert exit_status.value.code == 2
+    assert says in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["evaluate", "--controller", "magic"], "no controller 'magic'"),
+        (["evaluate", "--profile", "moon"], "'moon'"),
+        (["evaluate", "--weights", "nowhere"], "no policy 'nowhere'"),
+        (["evaluate", "--starts", "missing.csv"], "missing.csv"),
+        (["export", "missing"], "holds no policy"),
+        (["collect", "--out", "data", "--teacher", "nobody"], "no teacher 'nobody'"),
+        (["train", "--out", "run", "--preset", "paper"], "--data"),
+        (["train", "--out", "run", "--data", "missing"], "missing"),
+        (["train", "--out", "run", "--maps", "0"], "maps is 0"),
+        (["train", "--out", "run", "--device", "abacus"], "abacus"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_sentence(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 1
+    shown = capsys.readouterr().err
+    assert shown.startswith("triform: ")
+    assert says in shown
+    assert len(shown.strip().splitlines()) == 1
+
+
+def test_evaluate_writes_summary_and_runs(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    command = "evaluate --robots 3 4 --runs 2 --seed 7 --duration 8 --controller expert-sensed --json"
+    assert main([*command.split(), str(out)]) == 0
+    summary = json.loads(out.read_text())
+    assert [result["robots"] for result in summary["results"]] == [3, 4]
+    assert {"success", "strict", "formation_error_median", "min_distance", "collision"} <= summary["results"][0].keys()
+    assert parquet.read_table(tmp_path / "out.parquet").num_rows == 4
+
+
+def test_collect_train_export_evaluate(tmp_path: Path) -> None:
+    data, run = tmp_path / "data", tmp_path / "run"
+    collect = ["collect", "--out", str(data), "--runs", "2", "--steps", "10", "--placements", "100"]
+    assert main(collect) == 0
+    assert main(collect) == 0
+    assert main(["train", "--out", str(run), "--data", str(data), "--maps", "500"]) == 0
+    assert main(["train", "--out", str(run), "--data", str(data), "--maps", "500", "--resume"]) == 0
+    assert main(["export", str(run / "best")]) == 0
+    evaluate = ["evaluate", "--weights", str(run / "best"), "--robots", "3", "--runs", "1", "--duration", "6"]
+    assert main(evaluate) == 0
+
+
+def test_an_interrupted_training_says_so_and_resumes(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "triform.cli", "train", "--out", str(tmp_path), "--maps", "400000"]
+    child = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    while not (tmp_path / "log.jsonl").exists():
+        assert child.poll() is None
+        time.sleep(0.05)
+    child.send_signal(signal.SIGINT)
+    _, errors = child.communicate()
+    assert child.returncode == 130
+    assert "interrupted" in errors
+    assert "Traceback" not in errors
+
+
+def test_a_missing_extra_is_named(tmp_path: Path) -> None:
+    """Without PyTorch, evaluation runs and training says what to install."""
+    blocked = tmp_path / "torch"
+    blocked.mkdir()
+    (blocked / "__init__.py").write_text("raise ModuleNotFoundError(\"No module named 'torch'\", name='torch')\n")
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    train = [sys.executable, "-m", "triform.cli", "train", "--out", str(tmp_path / "run")]
+    done = subprocess.run(train, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "pip install 'triform[train]'" in done.stderr
+    evaluate = ["evaluate", "--controller", "policy", "--robots", "3", "--runs", "1", "--duration", "6"]
+    done = subprocess.run(
+        [sys.executable, "-m", "triform.cli", *evaluate], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
