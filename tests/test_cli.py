@@ -61,7 +61,7 @@ def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: 
         (["evaluate", "--weights", "nowhere"], "no policy 'nowhere'"),
         (["evaluate", "--starts", "missing.csv"], "missing.csv"),
         (["export", "missing"], "holds no policy"),
-        (["collect", "--out", "data", "--teacher", "nobody"], "no teacher 'nobody'"),
+        (["collect", "--out", "data", "--teacher", "nobody"], "no expert 'nobody'"),
         (["train", "--out", "run", "--preset", "paper"], "--data"),
         (["train", "--out", "run", "--data", "missing"], "missing"),
         (["train", "--out", "run", "--maps", "0"], "maps is 0"),

@@ -20,7 +20,7 @@ class Collect:
     Attributes:
         out: Folder of the data set; a collection that was stopped there is finished.
         preset: ``paper`` is the paper's 600 x 1000 records plus 400,000 placements, ``quick`` takes seconds.
-        teacher: Who demonstrates: ``expert`` sees everybody, ``expert-sensed`` 2 m. The preset's if omitted.
+        teacher: Who demonstrates: ``expert`` sees everybody, ``expert-sensed`` 2 m, ``expert-odd`` adds odd springs. The preset's if omitted.
         seed: Seed of everything random. The preset's if omitted.
         runs: Roll-outs. The preset's if omitted.
         steps: Records of one roll-out. The preset's if omitted.
@@ -66,7 +66,7 @@ class Train:
             printed, which needs ``--data``.
         data: Stored demonstrations; fresh ones are drawn if omitted.
         maps: Maps to train on. The preset's if omitted.
-        teacher: Who labels: ``expert-sensed`` or ``expert``. The preset's if omitted.
+        teacher: Who labels: ``expert``, ``expert-sensed`` or ``expert-odd``. The preset's if omitted.
         learning_rate: Peak learning rate. The preset's if omitted.
         seed: Seed of weights and data. The preset's if omitted.
         device: PyTorch device, such as ``cpu`` or ``cuda``.

@@ -133,12 +133,27 @@ def test_values_that_make_no_sense_are_refused(name: str, value: float) -> None:
         Expert(**{name: value})
 
 
-@pytest.mark.parametrize(("name", "reach"), [("expert", np.inf), ("expert-sensed", 2.0)])
-def test_a_teacher_labels_as_the_expert_commands(name: str, reach: float) -> None:
+@settings(deadline=None, max_examples=30)
+@given(seeds, st.floats(0.1, 2.0))
+def test_the_odd_spring_adds_each_edges_pull_turned_by_a_quarter(seed: int, odd_gain: float) -> None:
+    poses = random_poses(seed)
+    even = in_world(Expert(max_speed=1e9), poses)
+    both = in_world(Expert(max_speed=1e9, odd_gain=odd_gain), poses)
+    quarter = np.stack([-even[..., 1], even[..., 0]], axis=-1)
+    np.testing.assert_allclose(both, even + odd_gain * quarter, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "reach", "odd_gain"), [("expert", np.inf, 0.0), ("expert-sensed", 2.0, 0.0), ("expert-odd", 2.12, 0.8)]
+)
+def test_a_teacher_labels_as_the_expert_of_its_name_commands(name: str, reach: float, odd_gain: float) -> None:
     poses = random_poses(5, robots=8, worlds=6)
-    np.testing.assert_array_equal(Teacher(name).label(poses), Expert(sensing_range=reach).command(view(poses)))
+    expert = Expert(sensing_range=reach, odd_gain=odd_gain)
+    assert expert.description["name"] == name
+    np.testing.assert_array_equal(Teacher(name).label(poses), expert.command(view(poses)))
+    np.testing.assert_array_equal(Expert.named(name).command(view(poses)), expert.command(view(poses)))
 
 
 def test_unknown_teachers_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match="no teacher 'nobody'"):
+    with pytest.raises(ConfigurationError, match="no expert 'nobody'"):
         Teacher("nobody")

@@ -1,20 +1,22 @@
 """Controllers behind one interface: expert, scan pipeline and learned policy."""
 
-from triform.control.expert import SENSING_RANGE, Expert, expert_into
+from triform.control.expert import EXPERTS, SENSING_RANGE, Expert, ExpertVariant, expert_into, expert_variant
 from triform.control.learned import LearnedPolicy
 from triform.control.registry import CONTROLLERS, make_controller, shipped_weights, weights_folder
 from triform.control.scan_pipeline import ScanPipeline
-from triform.control.teacher import TEACHERS, Teacher
+from triform.control.teacher import Teacher
 
 __all__ = [
     "CONTROLLERS",
+    "EXPERTS",
     "SENSING_RANGE",
-    "TEACHERS",
     "Expert",
+    "ExpertVariant",
     "LearnedPolicy",
     "ScanPipeline",
     "Teacher",
     "expert_into",
+    "expert_variant",
     "make_controller",
     "shipped_weights",
     "weights_folder",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,48 @@ from numba import njit, prange
 from triform.geometry import gabriel_into
 from triform.geometry.gabriel import PAIRS_PER_THREAD
 from triform.threads import threads_for
-from triform.types import FloatArray, PrivilegedView, TriformError, require
+from triform.types import ConfigurationError, FloatArray, PrivilegedView, TriformError, require
 
 #: Reach of the paper's LiDAR, to which ``expert-sensed`` is restricted [m].
 SENSING_RANGE = 2.0
+#: A RoboMaster EP whose centre is this far away still shows its near side to a LiDAR of 2 m [m].
+VISIBLE_RANGE = 2.12
+
+
+@dataclass(frozen=True)
+class ExpertVariant:
+    """What distinguishes one expert from another.
+
+    Attributes:
+        sensing_range: Farther robots are not seen [m].
+        odd_gain: Gain of the odd spring [1/s]; 0 is Eq. 8.
+    """
+
+    sensing_range: float
+    odd_gain: float
+
+
+#: Experts by name. ``expert-odd`` is not the paper's: see ``Expert``.
+EXPERTS = {
+    "expert": ExpertVariant(np.inf, 0.0),
+    "expert-sensed": ExpertVariant(SENSING_RANGE, 0.0),
+    "expert-odd": ExpertVariant(VISIBLE_RANGE, 0.8),
+}
+
+
+def expert_variant(name: str) -> ExpertVariant:
+    """Return an expert's settings by name.
+
+    Raises:
+        ConfigurationError: If there is none of that name.
+    """
+    if name not in EXPERTS:
+        raise ConfigurationError(f"there is no expert {name!r}; the experts are {', '.join(EXPERTS)}")
+    return EXPERTS[name]
 
 
 @njit(cache=True, nogil=True)
-def expert_into(poses, active, distance, gain, max_speed, sensing_range, graph, out):  # type: ignore[no-untyped-def]
+def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, out):  # type: ignore[no-untyped-def]
     """Write the expert's body twists of one world.
 
     Args:
@@ -25,6 +60,7 @@ def expert_into(poses, active, distance, gain, max_speed, sensing_range, graph, 
         active: Robots that exist, shape (N,).
         distance: Prescribed neighbour distance d* [m].
         gain: Spring gain [1/s].
+        odd_gain: Gain of the odd spring [1/s].
         max_speed: Speed to which a longer command is scaled [m/s].
         sensing_range: Farther robots are not seen [m].
         graph: Room for the Gabriel graph, bool, shape (N, N); holds it afterwards.
@@ -41,9 +77,9 @@ def expert_into(poses, active, distance, gain, max_speed, sensing_range, graph, 
                     d_y = poses[j, 1] - poses[i, 1]
                     length = np.sqrt(d_x * d_x + d_y * d_y)
                     if length > 0.0:
-                        pull = gain * (length - distance) / length
-                        v_x += pull * d_x
-                        v_y += pull * d_y
+                        strain = (length - distance) / length
+                        v_x += strain * (gain * d_x - odd_gain * d_y)
+                        v_y += strain * (gain * d_y + odd_gain * d_x)
             speed = np.sqrt(v_x * v_x + v_y * v_y)
             if speed > max_speed:
                 v_x *= max_speed / speed
@@ -55,11 +91,11 @@ def expert_into(poses, active, distance, gain, max_speed, sensing_range, graph, 
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _expert_worlds(poses, active, distance, gain, max_speed, sensing_range, out):  # type: ignore[no-untyped-def]
+def _expert_worlds(poses, active, distance, gain, odd_gain, max_speed, sensing_range, out):  # type: ignore[no-untyped-def]
     robots = poses.shape[1]
     for b in prange(poses.shape[0]):
         graph = np.empty((robots, robots), dtype=np.bool_)
-        expert_into(poses[b], active[b], distance, gain, max_speed, sensing_range, graph, out[b])
+        expert_into(poses[b], active[b], distance, gain, odd_gain, max_speed, sensing_range, graph, out[b])
 
 
 class Expert:
@@ -68,6 +104,10 @@ class Expert:
     Robot i moves down the gradient of ``gain/2 * sum_j (|p_i - p_j| - d*)^2`` over its Gabriel neighbours j. Eq. 8
     as printed has the opposite sign of ``(p_i - p_j)``, which would push far neighbours away; here they attract.
     Coincident robots exert no force on each other: no direction is defined. The turn rate is always zero.
+
+    With an ``odd_gain`` every edge also pushes sideways, ``odd_gain (|p_i - p_j| - d*)`` at +90 degrees to it (odd
+    elasticity). That term vanishes wherever all edges have their length, so every formation at rest stays at rest;
+    but where strained edges balance each other in a locked arrangement, the odd forces do not, and it unlocks.
     """
 
     privileged = True
@@ -78,6 +118,7 @@ class Expert:
         gain: float = 1.0,
         max_speed: float = 1.0,
         sensing_range: float = np.inf,
+        odd_gain: float = 0.0,
     ) -> None:
         """Make an expert.
 
@@ -86,9 +127,10 @@ class Expert:
             gain: Spring gain [1/s].
             max_speed: Longer commands are scaled to this speed [m/s], keeping their direction.
             sensing_range: Farther robots are not seen [m].
+            odd_gain: Gain of the odd spring [1/s].
 
         Raises:
-            ConfigurationError: If a value is not positive.
+            ConfigurationError: If a value is not positive, or ``odd_gain`` is negative.
         """
         for name, value in (
             ("distance", distance),
@@ -97,18 +139,32 @@ class Expert:
             ("sensing_range", sensing_range),
         ):
             require(value > 0, f"{name} is {value}; it must be positive")
+        require(odd_gain >= 0, f"odd_gain is {odd_gain}; it must not be negative")
         self.distance = distance
         self.gain = gain
         self.max_speed = max_speed
         self.sensing_range = sensing_range
+        self.odd_gain = odd_gain
+
+    @classmethod
+    def named(cls, name: str, distance: float = 1.0) -> Expert:
+        """Make one of ``EXPERTS``.
+
+        Raises:
+            ConfigurationError: If there is none of that name, or ``distance`` is not positive.
+        """
+        variant = expert_variant(name)
+        return cls(distance, sensing_range=variant.sensing_range, odd_gain=variant.odd_gain)
 
     @property
     def description(self) -> dict[str, Any]:
-        """Name and settings; an unlimited sensing range is ``None``."""
+        """Name, ``custom`` if it is none of ``EXPERTS``, and settings; an unlimited sensing range is ``None``."""
+        variant = ExpertVariant(self.sensing_range, self.odd_gain)
         return {
-            "name": "expert" if np.isinf(self.sensing_range) else "expert-sensed",
+            "name": next((name for name, known in EXPERTS.items() if known == variant), "custom"),
             "distance": self.distance,
             "gain": self.gain,
+            "odd_gain": self.odd_gain,
             "max_speed": self.max_speed,
             "sensing_range": None if np.isinf(self.sensing_range) else self.sensing_range,
         }
@@ -128,6 +184,7 @@ class Expert:
                 np.ascontiguousarray(view.active),
                 self.distance,
                 self.gain,
+                self.odd_gain,
                 self.max_speed,
                 self.sensing_range,
                 out,

@@ -6,13 +6,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from triform.control.expert import SENSING_RANGE, Expert
+from triform.control.expert import EXPERTS, Expert
 from triform.control.learned import LearnedPolicy
 from triform.control.scan_pipeline import ScanPipeline
 from triform.policy import PolicyRuntime
 from triform.types import ConfigurationError, Controller
 
-CONTROLLERS = ("policy", "expert", "expert-sensed", "scan-pipeline")
+CONTROLLERS = ("policy", *EXPERTS, "scan-pipeline")
 DEFAULT_WEIGHTS = "default"
 
 
@@ -56,8 +56,6 @@ def make_controller(
         raise ConfigurationError(f"the controller {name!r} has no weights; they belong to 'policy'")
     if name == "policy":
         return LearnedPolicy(PolicyRuntime(weights_folder(weights), threads), distance)
-    if name == "expert":
-        return Expert(distance)
-    if name == "expert-sensed":
-        return Expert(distance, sensing_range=SENSING_RANGE)
+    if name in EXPERTS:
+        return Expert.named(name, distance)
     return ScanPipeline(distance)

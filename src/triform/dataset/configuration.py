@@ -7,7 +7,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from triform.control import TEACHERS
+from triform.control import expert_variant
 from triform.simulation import ROBOMASTER_EP, Footprint
 from triform.types import ConfigurationError, IntArray, MapConfig, ScanConfig, require
 
@@ -34,7 +34,7 @@ class CollectionConfig:
         placements: Random placements.
         seed: Decides every random number. Starts are drawn from a stream of their own, so they are never those
             of an evaluation with the same seed.
-        teacher: Who drives and labels, a name in ``TEACHERS``.
+        teacher: Who drives and labels, a name in ``triform.control.EXPERTS``.
         gain: The teacher's spring gain [1/s].
         max_speed: The teacher scales longer commands to this speed [m/s]. Commands are recorded like this.
         speed_limit: The robots follow commands up to this speed [m/s], keeping their direction.
@@ -83,10 +83,7 @@ class CollectionConfig:
         for name in ("distance", "gain", "max_speed", "speed_limit", "step_period"):
             value = getattr(self, name)
             require(0 < value < np.inf, f"{name} is {value}; it must be positive and finite")
-        require(
-            self.teacher in TEACHERS,
-            f"there is no teacher {self.teacher!r}; the teachers are {', '.join(TEACHERS)}",
-        )
+        expert_variant(self.teacher)
         require(
             len(self.jitter) > 0 and all(0 <= deviation < np.inf for deviation in self.jitter),
             f"jitter is {self.jitter}; one or more finite deviations that are not negative are needed",

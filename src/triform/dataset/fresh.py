@@ -1,6 +1,6 @@
 """Fresh demonstrations: states drawn anew for every batch, with the teacher's command for each robot.
 
-A state is a random placement, a placement that an expert has moved for a random time, or one that it has moved long
+A state is a random placement, a placement that the teacher has moved for a random time, or one that it has moved long
 enough to be near equilibrium; the moved ones are jittered, so that the learner also sees how to come back.
 """
 
@@ -27,15 +27,13 @@ class StateConfig:
         robots: Team sizes; one is drawn for each batch.
         side: Side of the square in which robots are placed [m].
         min_spacing: Least distance of two centres when placed [m].
-        moved: Share of states that an expert has moved for up to ``moved_time``.
+        moved: Share of states that the teacher has moved for up to ``moved_time``.
         settled: Share of states that it has moved for up to ``settled_time``.
         moved_time: Longest drive of a moved state [s].
         settled_time: Longest drive of a settled state [s].
         moved_jitter: Standard deviations [m], one of which is drawn for a moved state.
         settled_jitter: The same for settled states.
         max_speed: Speed limit of the drive [m/s].
-        drive_range: Sight of the expert that moves the robots [m]. Whatever the teacher sees, it is that of the
-            robots' scans by default, so that states are drawn from where such robots end up.
     """
 
     robots: tuple[int, ...] = tuple(range(1, 14))
@@ -48,7 +46,6 @@ class StateConfig:
     moved_jitter: tuple[float, ...] = (0.0, 0.02, 0.1)
     settled_jitter: tuple[float, ...] = (0.0, 0.01, 0.03, 0.05, 0.1)
     max_speed: float = 0.5
-    drive_range: float = SENSING_RANGE
 
     def __post_init__(self) -> None:
         require(
@@ -113,10 +110,10 @@ def _place(rng, side, min_spacing, poses, stack, seen):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
-def _drive(poses, active, duration, step, distance, gain, max_speed, drive_range, graph, twists):  # type: ignore[no-untyped-def]
-    """Let an expert move the robots for a while; headings stay, as its turn rate is zero."""
+def _drive(poses, active, duration, step, distance, gain, odd_gain, max_speed, sensing_range, graph, twists):  # type: ignore[no-untyped-def]
+    """Let the teacher move the robots for a while; headings stay, as its turn rate is zero."""
     for _ in range(int(duration / step)):
-        expert_into(poses, active, distance, gain, max_speed, drive_range, graph, twists)
+        expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, twists)
         for i in range(poses.shape[0]):
             cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
             poses[i, 0] += step * (cos * twists[i, 0] - sin * twists[i, 1])
@@ -135,9 +132,9 @@ def _draw_records(  # type: ignore[no-untyped-def]
     moved_jitter,
     settled_jitter,
     drive_speed,
-    drive_range,
     distance,
     gain,
+    odd_gain,
     max_speed,
     sensing_range,
     half_length,
@@ -178,12 +175,12 @@ def _draw_records(  # type: ignore[no-untyped-def]
         elif kind < moved + settled:
             duration = rng.random() * settled_time
             jitter = settled_jitter[int(rng.random() * settled_jitter.shape[0])]
-        _drive(poses, active, duration, 0.1, distance, gain, drive_speed, drive_range, graph, twists)
+        _drive(poses, active, duration, 0.1, distance, gain, odd_gain, drive_speed, sensing_range, graph, twists)
         if jitter > 0.0:
             for i in range(robots):
                 poses[i, 0] += jitter * rng.standard_normal()
                 poses[i, 1] += jitter * rng.standard_normal()
-        expert_into(poses, active, distance, gain, max_speed, sensing_range, graph, twists)
+        expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, twists)
         commands[e] = twists
         cast_world(
             poses,
@@ -244,11 +241,11 @@ def draw_fresh(
         np.array(states.moved_jitter),
         np.array(states.settled_jitter),
         min(states.max_speed, teacher.max_speed),
-        states.drive_range,
         teacher.distance,
         teacher.gain,
+        teacher.variant.odd_gain,
         teacher.max_speed,
-        teacher.sensing_range,
+        teacher.variant.sensing_range,
         footprint.length / 2,
         footprint.width / 2,
         footprint.shape == "circle",

@@ -24,7 +24,7 @@ _REACH = 0.45
 
 @njit(cache=True, nogil=True)
 def _token_targets(  # type: ignore[no-untyped-def]
-    patches, positions, counts, neighbours, patch, columns, cell, half, distance, out, valid
+    patches, positions, counts, neighbours, patch, columns, cell, half, distance, odd_gain, out, valid
 ):
     token = 0
     for m in range(counts.shape[0]):
@@ -49,9 +49,9 @@ def _token_targets(  # type: ignore[no-untyped-def]
                     q_x, q_y = neighbours[m, nearest, 0], neighbours[m, nearest, 1]
                     edge = neighbours[m, nearest, 2]
                     length = np.sqrt(q_x * q_x + q_y * q_y) + 1e-9
-                    pull = edge * (length - distance) / length
-                    out[token, 0] = pull * q_x
-                    out[token, 1] = pull * q_y
+                    strain = edge * (length - distance) / length
+                    out[token, 0] = strain * (q_x - odd_gain * q_y)
+                    out[token, 1] = strain * (q_y + odd_gain * q_x)
                     out[token, 2] = (q_x - x) / _OFFSET_SCALE
                     out[token, 3] = (q_y - y) / _OFFSET_SCALE
                     out[token, 4] = edge
@@ -60,7 +60,7 @@ def _token_targets(  # type: ignore[no-untyped-def]
 
 
 def token_targets(
-    packed: PackedMaps, neighbours: FloatArray, config: MapConfig, patch: int, distance: float
+    packed: PackedMaps, neighbours: FloatArray, config: MapConfig, patch: int, distance: float, odd_gain: float = 0.0
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Targets of every token and which tokens have any.
 
@@ -71,6 +71,7 @@ def token_targets(
         config: Configuration of the maps.
         patch: Cells along each side of a patch.
         distance: Prescribed neighbour distance d* [m].
+        odd_gain: Gain of the teacher's odd spring over that of its spring.
 
     Returns:
         Targets (K, 5) and a mask (K,).
@@ -88,6 +89,7 @@ def token_targets(
         config.cell,
         config.half_extent,
         distance,
+        odd_gain,
         targets,
         valid,
     )

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from triform.control import Teacher
+from triform.control import Teacher, expert_variant
 from triform.dataset import Demonstrations, Records, Split, draw_fresh, neighbours
 from triform.policy import PackedMaps, pack
 from triform.training.auxiliary import token_targets
@@ -48,7 +48,8 @@ def _prepare(
 ) -> TrainBatch:
     patch = config.network.patch
     packed = pack(maps, patch, config.network.attention)
-    targets, valid = token_targets(packed, neighbours_body, config.map, patch, config.distance)
+    odd_gain = expert_variant(config.teacher).odd_gain
+    targets, valid = token_targets(packed, neighbours_body, config.map, patch, config.distance, odd_gain)
     return TrainBatch(packed, commands.astype(np.float32), targets, valid)
 
 
@@ -124,7 +125,7 @@ class StoredSource:
         return [self._read(each) for each in itertools.islice(records, count)]
 
     def _read(self, records: Records) -> TrainBatch:
-        around = neighbours(records.poses, self._config.scan.range_max)
+        around = neighbours(records.poses, expert_variant(self._config.teacher).sensing_range)
         return _prepare(records.maps(), records.commands, around, self._config)
 
 
