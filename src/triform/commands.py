@@ -20,7 +20,8 @@ class Collect:
     Attributes:
         out: Folder of the data set; a collection that was stopped there is finished.
         preset: ``paper`` is the paper's 600 x 1000 records plus 400,000 placements, ``quick`` takes seconds.
-        teacher: Who demonstrates: ``expert`` sees everybody, ``expert-sensed`` 2 m, ``expert-odd`` adds odd springs. The preset's if omitted.
+        teacher: Who demonstrates: ``expert`` sees everybody, ``expert-sensed`` 2 m, ``expert-odd`` has odd springs.
+            The preset's if omitted.
         seed: Seed of everything random. The preset's if omitted.
         runs: Roll-outs. The preset's if omitted.
         steps: Records of one roll-out. The preset's if omitted.
@@ -66,7 +67,8 @@ class Train:
             printed, which needs ``--data``.
         data: Stored demonstrations; fresh ones are drawn if omitted.
         maps: Maps to train on. The preset's if omitted.
-        teacher: Who labels: ``expert``, ``expert-sensed`` or ``expert-odd``. The preset's if omitted.
+        teacher: Who labels: ``expert``, ``expert-sensed`` or ``expert-odd``. The data set's or the
+            preset's if omitted.
         learning_rate: Peak learning rate. The preset's if omitted.
         seed: Seed of weights and data. The preset's if omitted.
         device: PyTorch device, such as ``cpu`` or ``cuda``.
@@ -89,6 +91,7 @@ class Train:
         """Train, with progress."""
         import torch
 
+        from triform.dataset import load_manifest
         from triform.training import get_preset, train
 
         if self.threads < 1:
@@ -96,6 +99,8 @@ class Train:
         torch.set_num_threads(self.threads)
         names = ("maps", "teacher", "learning_rate", "seed")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        if self.data is not None and self.teacher is None:
+            given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(get_preset(self.preset), **given)
         with _progress(console, "maps/s") as bar:
             task = bar.add_task("training", total=None, rate=0.0)

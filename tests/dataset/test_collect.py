@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from triform.dataset import Demonstrations, collect, load_manifest, storage
-from triform.dataset.storage import exclusive
+from triform import files
+from triform.dataset import Demonstrations, collect, load_manifest
+from triform.files import exclusive
 from triform.types import ConfigurationError, TriformError
 
 from .conftest import SMALL, contents
@@ -121,7 +122,7 @@ def test_a_full_disk_is_said_and_can_be_continued(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(storage.os, "fsync", sync)
+        patch.setattr(files.os, "fsync", sync)
         with pytest.raises(TriformError, match=r"no space left to write .* run the same command again"):
             collect(tmp_path, SMALL, workers=2)
     assert not list(tmp_path.rglob("*.tmp"))
@@ -185,7 +186,7 @@ def test_an_unwritable_folder_is_refused(tmp_path: Path, below: str) -> None:
 
 
 def test_two_collections_into_one_folder_are_refused(tmp_path: Path) -> None:
-    with exclusive(tmp_path), pytest.raises(TriformError, match="another process is collecting"):
+    with exclusive(tmp_path), pytest.raises(TriformError, match="another process is writing"):
         collect(tmp_path, SMALL, workers=1)
 
 

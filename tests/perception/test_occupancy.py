@@ -12,7 +12,7 @@ from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig
 
 def algorithm_3(ranges: np.ndarray, scan: ScanConfig, config: MapConfig) -> np.ndarray:
     """Algorithm 3 in SciPy: project, Gaussian over 3 x 3 cells, non-zero to one, drop groups by size."""
-    hit = np.isfinite(ranges)
+    hit = (ranges > 0) & (ranges <= scan.range_max)
     points = ranges[hit, None] * np.stack([np.cos(scan.angles), np.sin(scan.angles)], axis=1)[hit]
     index = np.floor((points + config.half_extent) / config.cell).astype(int)
     index = index[((index >= 0) & (index < config.size)).all(axis=1)]
@@ -35,8 +35,8 @@ configs = st.builds(
     max_cells=st.integers(14, 200),
 )
 wild = st.one_of(
-    st.floats(0, 4),
-    st.sampled_from([np.inf, -np.inf, np.nan, 0.0, 2.0, 1.9999999999999998]),
+    st.floats(-1, 4),
+    st.sampled_from([np.inf, -np.inf, np.nan, 0.0, -1.0, 2.0, 1.9999999999999998]),
 )
 
 

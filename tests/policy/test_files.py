@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +50,8 @@ def some_maps(count: int) -> np.ndarray:
 
 def test_a_policy_comes_back_as_it_was_saved(exported: Path) -> None:
     network, spec = load_policy(exported)
-    assert spec == SPEC
+    assert spec == replace(SPEC, weights_sha256=spec.weights_sha256)
+    assert len(spec.weights_sha256) == 64
     torch.manual_seed(0)
     fresh = VisionTransformer(SPEC.network)
     assert [tuple(p.shape) for p in network.parameters()] == [tuple(p.shape) for p in fresh.parameters()]
@@ -78,6 +80,8 @@ def test_the_weights_stand_in_one_file_only(exported: Path) -> None:
     header = json.loads(weights[8 : 8 + length])
     begin, end = header["blocks.0.qkv.weight"]["data_offsets"]
     assert weights[8 + length + begin : 8 + length + end] not in graph
+    assert b"site-packages" not in graph
+    assert b"/src/" not in graph
 
 
 def test_a_foreign_or_damaged_folder_is_refused(exported: Path, tmp_path: Path) -> None:
@@ -99,10 +103,24 @@ def test_a_foreign_or_damaged_folder_is_refused(exported: Path, tmp_path: Path) 
 
     truncated = copy(exported, tmp_path / "weights")
     (truncated / "model.safetensors").write_bytes((exported / "model.safetensors").read_bytes()[:-100])
+    flipped = bytearray((exported / "model.safetensors").read_bytes())
+    flipped[-5] ^= 1
+    for damaged in (bytes(flipped[:-100]), bytes(flipped)):
+        (truncated / "model.safetensors").write_bytes(damaged)
+        for load in (load_policy, PolicyRuntime):
+            with pytest.raises(TriformError, match="damaged or belong to another"):
+                load(truncated)
+    (truncated / "model.safetensors").unlink()
     with pytest.raises(TriformError, match="cannot read the weights"):
         load_policy(truncated)
+
+    foreign = copy(exported, tmp_path / "foreign")
+    (foreign / "model.json").write_text((foreign / "model.json").read_text().replace('"patch": 5', '"patch": 4'))
+    with pytest.raises(TriformError, match="patches of 25 cells"):
+        PolicyRuntime(foreign)
+    (foreign / "model.onnx").write_bytes(b"nonsense")
     with pytest.raises(TriformError, match="cannot load the policy"):
-        PolicyRuntime(truncated)
+        PolicyRuntime(foreign)
 
     bare = copy(exported, tmp_path / "bare")
     (bare / "model.onnx").unlink()

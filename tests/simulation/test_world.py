@@ -17,7 +17,6 @@ from triform.simulation import (
     Arena,
     Profile,
     World,
-    _threads,
     cast_rolling,
     cast_scans,
     get_arena,
@@ -30,6 +29,7 @@ from triform.simulation import (
 from triform.simulation import (
     world as world_module,
 )
+from triform.threads import threads_for
 from triform.types import ConfigurationError, ScanConfig, TriformError
 
 Array = NDArray[np.float64]
@@ -285,8 +285,8 @@ def test_coincident_and_single_robots_are_defined() -> None:
 
 def test_threads_follow_the_work() -> None:
     before = numba.get_num_threads()
-    with _threads.threads_for(10, 100):
+    with threads_for(10, 100):
         assert numba.get_num_threads() == 1
-    with _threads.threads_for(10**9, 1):
+    with threads_for(10**9, 1):
         assert numba.get_num_threads() == before
     assert numba.get_num_threads() == before

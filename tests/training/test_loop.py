@@ -27,6 +27,7 @@ TINY = TrainConfig(
     maps=600,
     batch_maps=20,
     warmup=5,
+    teacher="expert",
     states=StateConfig(robots=(3, 4), moved_time=1.0, settled_time=2.0),
 )
 
@@ -176,7 +177,7 @@ def test_wrong_use_is_refused_and_loses_nothing(tmp_path: Path, data: Path) -> N
     with pytest.raises(TriformError, match="--data"):
         train(get_preset("paper"), tmp_path / "paper")
     with pytest.raises(TriformError, match="teacher"):
-        train(replace(TINY, teacher="expert"), tmp_path / "teacher", data=data)
+        train(replace(TINY, teacher="expert-sensed"), tmp_path / "teacher", data=data)
     (tmp_path / "run" / "state.safetensors").write_bytes(b"nonsense")
     with pytest.raises(TriformError, match="cannot resume"):
         train(TINY, tmp_path / "run", resume=True)

@@ -106,8 +106,8 @@ class Expert:
     Coincident robots exert no force on each other: no direction is defined. The turn rate is always zero.
 
     With an ``odd_gain`` every edge also pushes sideways, ``odd_gain (|p_i - p_j| - d*)`` at +90 degrees to it (odd
-    elasticity). That term vanishes wherever all edges have their length, so every formation at rest stays at rest;
-    but where strained edges balance each other in a locked arrangement, the odd forces do not, and it unlocks.
+    elasticity). That term vanishes wherever all edges have their length, so a triangulation stays at rest; but
+    where strained edges balance each other in a locked arrangement, the odd forces do not, and it unlocks.
     """
 
     privileged = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -31,18 +32,23 @@ class LearnedPolicy:
                 f"the policy in {runtime.folder} was trained for a distance of {runtime.spec.distance} m, "
                 f"not {distance} m"
             )
+        network = runtime.spec.network
+        if network.outputs != 3:
+            raise ConfigurationError(
+                f"the policy in {runtime.folder} gives {network.outputs} numbers, not a body twist"
+            )
         self._runtime = runtime
         self._spec = runtime.spec
 
     @property
     def description(self) -> dict[str, Any]:
         """Name, weights and network of the policy."""
-        network = self._spec.network
         return {
             "name": "policy",
             "weights": self._runtime.folder.name,
+            "weights_sha256": self._spec.weights_sha256,
             "distance": self._spec.distance,
-            "network": {"dim": network.dim, "depth": network.depth, "heads": network.heads, "patch": network.patch},
+            "network": asdict(self._spec.network),
         }
 
     def command(self, view: View) -> FloatArray:
@@ -52,7 +58,8 @@ class LearnedPolicy:
             ConfigurationError: If the scans do not fit the policy's training.
         """
         self._spec.check_scan(view.scans)
+        network = self._spec.network
         commands = np.zeros((*view.active.shape, 3))
         maps = occupancy_maps(view.scans, self._spec.map)[view.active]
-        commands[view.active] = self._runtime.commands(pack(maps, self._spec.network.patch))
+        commands[view.active] = self._runtime.commands(pack(maps, network.patch, network.attention))
         return commands

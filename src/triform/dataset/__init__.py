@@ -5,12 +5,13 @@ from __future__ import annotations
 from triform.dataset.collect import Progress, collect
 from triform.dataset.configuration import PAPER, PRESETS, QUICK, CollectionConfig
 from triform.dataset.fresh import FreshBatch, StateConfig, draw_fresh
-from triform.dataset.manifest import Manifest, Shard, load_manifest
+from triform.dataset.manifest import MANIFEST, Manifest, Shard, load_manifest
 from triform.dataset.neighbours import neighbours
 from triform.dataset.reader import Demonstrations, Split
 from triform.dataset.records import Records
 
 __all__ = [
+    "MANIFEST",
     "PAPER",
     "PRESETS",
     "QUICK",

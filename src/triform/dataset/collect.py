@@ -25,8 +25,8 @@ from triform.dataset.manifest import (
 from triform.dataset.records import Records
 from triform.dataset.sensing import sense
 from triform.dataset.shards import encode
-from triform.dataset.storage import cannot_write, exclusive, make_folder, remove_temporaries, sha256, write_durably
 from triform.dataset.verify import check_shard
+from triform.files import cannot_write, exclusive, make_folder, remove_temporaries, sha256, write_atomically
 from triform.types import TriformError, require
 
 #: Called with the maps finished so far and all maps.
@@ -147,7 +147,7 @@ def _collect_shards(
 def _collect_shard(folder: Path, config: CollectionConfig, index: int, stop: threading.Event) -> Shard:
     groups = list(_groups(config, index, stop))
     data = encode(groups, config)
-    write_durably(shard_path(folder, index), data)
+    write_atomically(shard_path(folder, index), data)
     return Shard(
         index=index,
         records=sum(len(group) for group in groups),

@@ -55,6 +55,21 @@ class StateConfig:
             self.moved >= 0 and self.settled >= 0 and self.moved + self.settled <= 1,
             f"shares moved {self.moved} and settled {self.settled} must not be negative nor sum to more than 1",
         )
+        for name in ("side", "moved_time", "settled_time", "max_speed"):
+            value = getattr(self, name)
+            require(0 < value < np.inf, f"{name} of states is {value}; it must be positive and finite")
+        for name in ("moved_jitter", "settled_jitter"):
+            values = getattr(self, name)
+            require(
+                len(values) > 0 and all(0 <= value < np.inf for value in values),
+                f"{name} of states is {values}; one or more finite deviations that are not negative are needed",
+            )
+        # Placements are drawn until they fit: robots that cover a quarter of the square would take for ever.
+        crowd = max(self.robots) * np.pi * self.min_spacing**2 / 4
+        require(
+            self.min_spacing >= 0 and crowd <= self.side**2 / 4,
+            f"{max(self.robots)} robots {self.min_spacing} m apart do not fit well into a square of {self.side} m",
+        )
 
 
 @dataclass(frozen=True)
@@ -64,7 +79,7 @@ class FreshBatch:
     Attributes:
         maps: Occupancy maps, uint8, shape (M, H, W).
         commands: The teacher's body twists [m/s, m/s, rad/s], shape (M, 3).
-        neighbours: The other robots in the body frame (x [m], y [m], 1 if Gabriel neighbour within sensing range),
+        neighbours: The other robots in the body frame (x [m], y [m], 1 if Gabriel neighbour within the teacher's sight),
             shape (M, N - 1, 3).
     """
 
@@ -197,7 +212,9 @@ def _draw_records(  # type: ignore[no-untyped-def]
             ranges,
         )
         for i in range(robots):
-            kept = occupied_into(ranges[i], cos_rays, sin_rays, cell, min_cells, max_cells, maps[e, i], scratch, cells)
+            kept = occupied_into(
+                ranges[i], cos_rays, sin_rays, range_max, cell, min_cells, max_cells, maps[e, i], scratch, cells
+            )
             for q in range(kept):
                 maps[e, i, cells[q] // size, cells[q] % size] = 1
         neighbours_into(poses, graph, neighbours[e])

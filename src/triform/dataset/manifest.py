@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from triform.dataset.configuration import CollectionConfig, config_from_json
-from triform.dataset.storage import write_durably
+from triform.files import write_atomically
 from triform.types import ConfigurationError, TriformError
 
 MANIFEST = "manifest.json"
@@ -94,7 +94,7 @@ class Manifest:
             TriformError: If that is not possible; the manifest before is then still there.
         """
         text = json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n"
-        write_durably(folder / MANIFEST, text.encode())
+        write_atomically(folder / MANIFEST, text.encode())
 
 
 def shard_name(index: int) -> str:

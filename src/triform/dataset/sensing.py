@@ -60,7 +60,7 @@ def _sense_into(  # type: ignore[no-untyped-def]
             ranges,
         )
         for i in range(robots):
-            count = occupied_into(ranges[i], cos, sin, cell, min_cells, max_cells, grid, scratch, found)
+            count = occupied_into(ranges[i], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, found)
             found[:count].sort()
             for k in range(count):
                 cells[filled + k] = found[k]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from triform.dataset.manifest import SHARDS, Manifest, Shard, shard_path
-from triform.dataset.storage import sha256
+from triform.files import sha256
 from triform.types import TriformError
 
 

@@ -23,14 +23,14 @@ _SCANS_PER_THREAD = 300
 
 
 @njit(cache=True, nogil=True)
-def _dilate_returns(ranges, cos, sin, cell, grid, stack):  # type: ignore[no-untyped-def]
+def _dilate_returns(ranges, cos, sin, range_max, cell, grid, stack):  # type: ignore[no-untyped-def]
     """Mark the 3 x 3 cells around every return on ``grid``; list them in ``stack``; return how many."""
     size = grid.shape[0]
     half = size * cell / 2
     count = 0
     for k in range(ranges.shape[0]):
         distance = ranges[k]
-        if not np.isfinite(distance):
+        if not 0.0 < distance <= range_max:
             continue
         row = int(np.floor((distance * cos[k] + half) / cell))
         column = int(np.floor((distance * sin[k] + half) / cell))
@@ -75,13 +75,14 @@ def _flood(grid, start, queue):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def occupied_into(ranges, cos, sin, cell, min_cells, max_cells, grid, scratch, cells):  # type: ignore[no-untyped-def]
+def occupied_into(ranges, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells):  # type: ignore[no-untyped-def]
     """List the occupied cells of one scan's map.
 
     Args:
-        ranges: Ranges [m], shape (R,); whatever is not finite is no return.
+        ranges: Ranges [m], shape (R,); what is not in (0, range_max] is no return.
         cos: Cosine of every ray's angle, shape (R,).
         sin: Sine of every ray's angle, shape (R,).
+        range_max: Longest range [m].
         cell: Side of a cell [m].
         min_cells: Smaller groups are dropped.
         max_cells: Larger groups are dropped.
@@ -95,7 +96,7 @@ def occupied_into(ranges, cos, sin, cell, min_cells, max_cells, grid, scratch, c
     """
     size = grid.shape[0]
     marked, queue = scratch[0], scratch[1]
-    count = _dilate_returns(ranges, cos, sin, cell, grid, marked)
+    count = _dilate_returns(ranges, cos, sin, range_max, cell, grid, marked)
     kept = 0
     for m in range(count):
         start = marked[m]
@@ -112,12 +113,12 @@ def occupied_into(ranges, cos, sin, cell, min_cells, max_cells, grid, scratch, c
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _maps(ranges, cos, sin, cell, min_cells, max_cells, out):  # type: ignore[no-untyped-def]
+def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, out):  # type: ignore[no-untyped-def]
     size = out.shape[1]
     for m in prange(ranges.shape[0]):
         scratch = np.empty((2, size * size), dtype=np.int32)
         cells = np.empty(size * size, dtype=np.int32)
-        kept = occupied_into(ranges[m], cos, sin, cell, min_cells, max_cells, out[m], scratch, cells)
+        kept = occupied_into(ranges[m], cos, sin, range_max, cell, min_cells, max_cells, out[m], scratch, cells)
         for q in range(kept):
             out[m, cells[q] // size, cells[q] % size] = 1
 
@@ -126,10 +127,10 @@ def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
     """Binary occupancy maps of scans (Algorithm 3).
 
     The robot is at the centre of the map; rows grow with x (forward), columns with y (left); cell (i, j) covers
-    ``x`` in ``[i * cell - half, (i + 1) * cell - half)`` and ``y`` likewise. Returns outside the map are ignored.
+    ``x`` in ``[i * cell - half, (i + 1) * cell - half)`` and ``y`` likewise. Returns outside the map, which only its corners or a longer range allow, are ignored.
 
     Args:
-        scan: Ranges of shape (..., R).
+        scan: Ranges of shape (..., R); what is not in (0, range_max] is no return (REP 117).
         config: Size of the map and limits of the groups that are kept.
 
     Returns:
@@ -139,5 +140,14 @@ def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
     ranges = np.ascontiguousarray(scan.ranges, dtype=np.float64).reshape(-1, scan.config.rays)
     out = np.zeros((ranges.shape[0], config.size, config.size), dtype=np.uint8)
     with threads_for(len(ranges), _SCANS_PER_THREAD):
-        _maps(ranges, np.cos(angles), np.sin(angles), config.cell, config.min_cells, config.max_cells, out)
+        _maps(
+            ranges,
+            np.cos(angles),
+            np.sin(angles),
+            scan.config.range_max,
+            config.cell,
+            config.min_cells,
+            config.max_cells,
+            out,
+        )
     return out.reshape(*scan.ranges.shape[:-1], config.size, config.size)

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from triform.files import sha256
 from triform.policy.config import NetworkConfig
 from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig, TriformError, require
 
@@ -31,6 +32,7 @@ class PolicySpec:
         map: The occupancy map of its training.
         distance: Prescribed neighbour distance d* of its training [m].
         training: How it was trained, for the record: preset, teacher, seed, maps.
+        weights_sha256: Checksum of the weights that belong to this description.
     """
 
     network: NetworkConfig
@@ -38,6 +40,7 @@ class PolicySpec:
     map: MapConfig
     distance: float = 1.0
     training: dict[str, Any] = field(default_factory=dict)
+    weights_sha256: str = ""
 
     def __post_init__(self) -> None:
         require(
@@ -108,3 +111,19 @@ def read_spec(folder: Path) -> PolicySpec:
     except (OSError, UnicodeDecodeError) as error:
         raise TriformError(f"{folder} holds no policy: cannot read {path}: {error}") from error
     return PolicySpec.from_json(text, str(path))
+
+
+def read_weights(folder: Path, spec: PolicySpec) -> bytes:
+    """Read the weights of the policy in ``folder``, checked against its description.
+
+    Raises:
+        TriformError: If they cannot be read, or are not those that the description was written for.
+    """
+    path = folder / WEIGHTS_FILE
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise TriformError(f"cannot read the weights {path}: {error.strerror}") from error
+    if sha256(data) != spec.weights_sha256:
+        raise TriformError(f"the weights {path} are damaged or belong to another policy: their checksum differs")
+    return data

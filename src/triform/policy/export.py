@@ -19,9 +19,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from triform.files import write_atomically
 from triform.policy.checkpoint import ONNX_FILE, WEIGHTS_FILE
 from triform.policy.vit import Block, VisionTransformer
-from triform.policy.weights import load_policy, write_atomically
+from triform.policy.weights import load_policy
 from triform.types import TriformError
 
 
@@ -57,8 +58,6 @@ def export_policy(folder: Path) -> Path:
         TriformError: If the folder holds no policy or the file cannot be written.
     """
     network, spec = load_policy(folder)
-    if spec.network.attention == "all":
-        raise TriformError("only networks that compute occupied patches are exported; this one attends to all")
     example = (torch.zeros(3, 5, spec.network.patch**2), torch.zeros(3, 5, dtype=torch.int64))
     maps, kept = torch.export.Dim("maps"), torch.export.Dim("kept")
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
@@ -77,13 +76,19 @@ def export_policy(folder: Path) -> Path:
         )
     assert program is not None
     model = program.model_proto
+    drop_debug_records(model)
     point_into_safetensors(model, folder / WEIGHTS_FILE, prefix="network.")
     path = folder / ONNX_FILE
-    try:
-        write_atomically(path, model.SerializeToString())
-    except OSError as error:
-        raise TriformError(f"cannot write {path}: {error}") from error
+    write_atomically(path, model.SerializeToString())
     return path
+
+
+def drop_debug_records(model: onnx.ModelProto) -> None:
+    """Remove what the exporter noted for debugging, among it paths of this machine."""
+    graph = model.graph
+    for part in (model, graph, *graph.node, *graph.initializer, *graph.value_info, *graph.input, *graph.output):
+        part.ClearField("metadata_props")
+        part.ClearField("doc_string")
 
 
 def point_into_safetensors(model: onnx.ModelProto, weights: Path, prefix: str) -> None:
@@ -105,15 +110,8 @@ def point_into_safetensors(model: onnx.ModelProto, weights: Path, prefix: str) -
         begin, end = (8 + header_length + offset for offset in entry["data_offsets"]) if entry else (0, 0)
         if content[begin:end] != onnx.numpy_helper.to_array(tensor).tobytes():
             raise TriformError(f"the exported weight {tensor.name} does not stand in {weights}")
-        tensor.ClearField("raw_data")
         tensor.ClearField("float_data")
-        onnx.external_data_helper.set_external_data(
-            tensor_with_placeholder(tensor), weights.name, offset=begin, length=end - begin
-        )
+        # ONNX's helper insists on raw data, which the reference replaces.
+        tensor.raw_data = b""
+        onnx.external_data_helper.set_external_data(tensor, weights.name, offset=begin, length=end - begin)
         tensor.ClearField("raw_data")
-
-
-def tensor_with_placeholder(tensor: onnx.TensorProto) -> onnx.TensorProto:
-    """Give a tensor the raw data field that ONNX's helper insists on."""
-    tensor.raw_data = b""
-    return tensor

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
-from triform.policy.checkpoint import ONNX_FILE, PolicySpec, read_spec
+from triform.policy.checkpoint import ONNX_FILE, PolicySpec, read_spec, read_weights
 from triform.policy.packing import PackedMaps
 from triform.types import ConfigurationError, FloatArray, TriformError
 
@@ -32,6 +32,7 @@ class PolicyRuntime:
             raise ConfigurationError(f"threads is {threads}; it must be at least 1")
         self.folder = folder
         self.spec: PolicySpec = read_spec(folder)
+        read_weights(folder, self.spec)
         path = folder / ONNX_FILE
         if not path.exists():
             raise TriformError(f"{folder} holds no {ONNX_FILE}; make it with: triform export {folder}")
@@ -44,6 +45,15 @@ class PolicyRuntime:
             self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         except Exception as error:
             raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
+
+        cells = self._session.get_inputs()[0].shape[-1]
+        outputs = self._session.get_outputs()[0].shape[-1]
+        network = self.spec.network
+        if (cells, outputs) != (network.patch**2, network.outputs):
+            raise TriformError(
+                f"{path} reads patches of {cells} cells and gives {outputs} numbers; its description says "
+                f"{network.patch**2} and {network.outputs}"
+            )
 
     def commands(self, packed: PackedMaps) -> FloatArray:
         """Body twists (M, 3) [m/s, m/s, rad/s] of M maps.

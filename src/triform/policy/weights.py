@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import safetensors.torch
 from safetensors import SafetensorError
 
-from triform.policy.checkpoint import SPEC_FILE, WEIGHTS_FILE, PolicySpec, read_spec
+from triform.files import make_folder, sha256, write_atomically
+from triform.policy.checkpoint import SPEC_FILE, WEIGHTS_FILE, PolicySpec, read_spec, read_weights
 from triform.policy.vit import VisionTransformer
 from triform.types import TriformError
 
@@ -19,25 +21,10 @@ def save_policy(folder: Path, network: VisionTransformer, spec: PolicySpec) -> N
         TriformError: If the files cannot be written.
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in (
-            (WEIGHTS_FILE, safetensors.torch.save(tensors)),
-            (SPEC_FILE, spec.to_json().encode()),
-        ):
-            write_atomically(folder / name, content)
-    except OSError as error:
-        raise TriformError(f"cannot write the policy to {folder}: {error}") from error
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Replace ``path`` by ``content``, or leave it as it was."""
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    data = safetensors.torch.save(tensors)
+    make_folder(folder)
+    write_atomically(folder / WEIGHTS_FILE, data)
+    write_atomically(folder / SPEC_FILE, replace(spec, weights_sha256=sha256(data)).to_json().encode())
 
 
 def load_policy(folder: Path) -> tuple[VisionTransformer, PolicySpec]:
@@ -47,12 +34,10 @@ def load_policy(folder: Path) -> tuple[VisionTransformer, PolicySpec]:
         TriformError: If the folder holds no policy, or its weights do not fit its description.
     """
     spec = read_spec(folder)
-    path = folder / WEIGHTS_FILE
+    data = read_weights(folder, spec)
     network = VisionTransformer(spec.network)
     try:
-        network.load_state_dict(safetensors.torch.load_file(path))
-    except (OSError, SafetensorError) as error:
-        raise TriformError(f"cannot read the weights {path}: {error}") from error
-    except RuntimeError as error:
-        raise TriformError(f"the weights {path} do not fit the network that {SPEC_FILE} describes") from error
+        network.load_state_dict(safetensors.torch.load(data))
+    except (SafetensorError, RuntimeError) as error:
+        raise TriformError(f"the weights in {folder} do not fit the network that {SPEC_FILE} describes") from error
     return network.eval(), spec

@@ -1,7 +1,7 @@
 """Auxiliary targets on patch tokens, used in training only.
 
 Every occupied patch also predicts, for the robot nearest to the centroid of its occupied cells: that robot's term of
-Eq. 8, where its centre lies and whether it is a Gabriel neighbour. The truth behind a scan is known while training, and
+the teacher's sum, where its centre lies and whether it is a Gabriel neighbour. The truth behind a scan is known while training, and
 this tells each token what the command's sum is made of. The head is thrown away afterwards.
 """
 
@@ -16,7 +16,7 @@ from torch.nn import functional
 from triform.policy import PackedMaps
 from triform.types import FloatArray, MapConfig
 
-#: Numbers predicted per token: term of Eq. 8 (2), centre offset (2), logit of being a neighbour (1).
+#: Numbers predicted per token: term of the sum (2), centre offset (2), logit of being a neighbour (1).
 TARGETS = 5
 _OFFSET_SCALE = 0.2
 _REACH = 0.45

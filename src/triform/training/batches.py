@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from triform.control import Teacher, expert_variant
-from triform.dataset import Demonstrations, Records, Split, draw_fresh, neighbours
+from triform.dataset import MANIFEST, Demonstrations, Records, Split, draw_fresh, neighbours
+from triform.files import sha256
 from triform.policy import PackedMaps, pack
 from triform.training.auxiliary import token_targets
 from triform.training.presets import TrainConfig
@@ -67,6 +68,8 @@ class FreshSource:
         self._config = config
         self._teacher = Teacher(config.teacher, config.distance)
         self.steps = -(-config.maps // config.batch_maps)
+        #: Fresh demonstrations need no data set.
+        self.checksum: str | None = None
 
     def batches(self, start: int) -> Iterator[TrainBatch]:
         """Mini-batches from number ``start`` on, without end."""
@@ -95,6 +98,7 @@ class StoredSource:
         """
         self._demonstrations = Demonstrations.open(data)
         self._config = config
+        self.checksum: str | None = sha256((data / MANIFEST).read_bytes())
         collected = self._demonstrations.manifest.config
         for name in ("scan", "map", "distance", "teacher"):
             wanted, found = getattr(config, name), getattr(collected, name)

@@ -6,6 +6,8 @@ import json
 import warnings
 from pathlib import Path
 
+from triform.files import cannot_write, write_atomically
+
 with warnings.catch_warnings():
     # TensorBoard's own imports warn of NumPy and protobuf deprecations that are not ours to mend.
     warnings.simplefilter("ignore")
@@ -22,7 +24,7 @@ class TrainingLog:
         kept = []
         if step > 0 and self._path.exists():
             kept = [line for line in self._path.read_text().splitlines() if _step_of(line) <= step]
-        self._path.write_text("".join(line + "\n" for line in kept))
+        write_atomically(self._path, "".join(line + "\n" for line in kept).encode())
         self._writer = SummaryWriter(str(out / "tensorboard"), purge_step=step + 1)
 
     def __enter__(self) -> TrainingLog:
@@ -30,8 +32,11 @@ class TrainingLog:
 
     def write(self, step: int, scalars: dict[str, float]) -> None:
         """Record scalars at a step."""
-        with self._path.open("a") as file:
-            file.write(json.dumps({"step": step, **scalars}) + "\n")
+        try:
+            with self._path.open("a") as file:
+                file.write(json.dumps({"step": step, **scalars}) + "\n")
+        except OSError as error:
+            raise cannot_write(self._path, error) from error
         for name, value in scalars.items():
             self._writer.add_scalar(name, value, step)
 

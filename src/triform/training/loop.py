@@ -13,11 +13,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from triform.files import exclusive, make_folder, write_atomically
 from triform.policy import PolicySpec
 from triform.policy.vit import VisionTransformer, token_batch
 from triform.policy.weights import save_policy
 from triform.training.auxiliary import AuxiliaryHead
-from triform.training.batches import Prefetched, TrainBatch, open_source
+from triform.training.batches import FreshSource, Prefetched, StoredSource, TrainBatch, open_source
 from triform.training.logs import TrainingLog
 from triform.training.presets import TrainConfig
 from triform.training.state import load_state, read_progress, save_state
@@ -113,24 +114,19 @@ def validate(learner: Learner, batches: list[TrainBatch], device: torch.device) 
     }
 
 
-def _check_same_run(out: Path, config: TrainConfig, resume: bool) -> None:
+def _check_same_run(out: Path, config: TrainConfig, data: str | None, resume: bool) -> None:
     """Refuse to overwrite another run or to continue one with other settings; record the settings."""
     path = out / CONFIG_FILE
-    text = json.dumps({**config.record(), "network": vars(config.network)}, indent=2, default=list) + "\n"
-    try:
-        if path.exists():
-            if not resume:
-                raise TriformError(
-                    f"{out} already holds a training run; continue it with --resume or give another --out"
-                )
-            if path.read_text() != text:
-                raise TriformError(f"{out} was trained with other settings (see {path}); resume with the same ones")
-        elif resume:
-            raise TriformError(f"{out} holds no training run to resume")
-        out.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    except OSError as error:
-        raise TriformError(f"cannot write to {out}: {error}") from error
+    settings = {**config.record(), "network": vars(config.network), "data_sha256": data}
+    text = json.dumps(settings, indent=2, default=list) + "\n"
+    if path.exists():
+        if not resume:
+            raise TriformError(f"{out} already holds a training run; continue it with --resume or give another --out")
+        if path.read_text(encoding="utf-8") != text:
+            raise TriformError(f"{out} was trained with other settings or data (see {path}); resume with the same ones")
+    elif resume:
+        raise TriformError(f"{out} holds no training run to resume")
+    write_atomically(path, text.encode())
 
 
 def usable_device(name: str) -> torch.device:
@@ -176,7 +172,21 @@ def train(
     """
     target = usable_device(device)
     source = open_source(config, data)
-    _check_same_run(out, config, resume)
+    make_folder(out)
+    with exclusive(out):
+        _check_same_run(out, config, source.checksum, resume)
+        return _train(config, out, source, target, resume, report, save_seconds)
+
+
+def _train(
+    config: TrainConfig,
+    out: Path,
+    source: FreshSource | StoredSource,
+    target: torch.device,
+    resume: bool,
+    report: Callable[[Progress], None],
+    save_seconds: float,
+) -> Path:
     torch.manual_seed(config.seed)
     learner = Learner(config).to(target)
     optimizer = make_optimizer(config, learner)

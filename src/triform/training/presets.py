@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from triform.control import expert_variant
 from triform.dataset import StateConfig
 from triform.policy import NetworkConfig
 from triform.types import ConfigurationError, MapConfig, ScanConfig, require
@@ -26,7 +27,7 @@ class TrainConfig:
         weight_decay: Decoupled weight decay (AdamW).
         clip: Largest gradient norm; 0 leaves gradients alone.
         loss: ``norm`` is the mean Euclidean norm of the command error, ``mse`` its mean square.
-        auxiliary: Weight of the auxiliary loss on tokens; fresh demonstrations only.
+        auxiliary: Weight of the auxiliary loss on tokens; 0 leaves it out.
         distance: Prescribed neighbour distance d* [m].
         teacher: Who labels the demonstrations.
         seed: Seed of weights and data.
@@ -61,6 +62,12 @@ class TrainConfig:
         require(self.warmup >= 0, f"warmup is {self.warmup}; it must not be negative")
         require(self.clip >= 0, f"clip is {self.clip}; it must not be negative")
         require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        require(self.auxiliary >= 0, f"auxiliary is {self.auxiliary}; it must not be negative")
+        require(self.weight_decay >= 0, f"weight_decay is {self.weight_decay}; it must not be negative")
+        require(self.distance > 0, f"distance is {self.distance} m; it must be positive")
+        require(self.schedule in ("cosine", "constant"), f"there is no schedule {self.schedule!r}")
+        require(self.loss in ("norm", "mse"), f"there is no loss {self.loss!r}")
+        expert_variant(self.teacher)
         require(self.optimizer in ("adamw", "rmsprop"), f"there is no optimizer {self.optimizer!r}")
 
     def record(self) -> dict[str, Any]:

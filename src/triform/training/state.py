@@ -11,7 +11,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from triform.policy.weights import write_atomically
+from triform.files import write_atomically
 from triform.types import TriformError
 
 _MODULE = "module."
@@ -28,10 +28,7 @@ def save_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer, 
     for index, values in optimizer.state_dict()["state"].items():
         for name, value in values.items():
             tensors[f"{_OPTIMIZER}{index}.{name}"] = torch.as_tensor(value).detach().cpu().contiguous()
-    try:
-        write_atomically(path, safetensors.torch.save(tensors, {"progress": json.dumps(progress)}))
-    except OSError as error:
-        raise TriformError(f"cannot write the training state {path}: {error}") from error
+    write_atomically(path, safetensors.torch.save(tensors, {"progress": json.dumps(progress)}))
 
 
 def read_progress(path: Path) -> dict[str, Any]:

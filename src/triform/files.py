@@ -15,7 +15,7 @@ from triform.types import TriformError
 _LOCK = ".lock"
 
 
-def write_durably(path: Path, data: bytes) -> None:
+def write_atomically(path: Path, data: bytes) -> None:
     """Write a file so that ``path`` is never seen half written, not even after a power cut.
 
     The bytes go to a temporary name beside it, reach the disk, and only then take their name.
@@ -73,7 +73,7 @@ def make_folder(path: Path) -> None:
 
 
 def remove_temporaries(folder: Path) -> None:
-    """Remove what a killed ``write_durably`` left in ``folder``.
+    """Remove what a killed ``write_atomically`` left in ``folder``.
 
     Raises:
         TriformError: If the folder cannot be written.
@@ -101,5 +101,5 @@ def exclusive(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise TriformError(f"another process is collecting into {folder}; wait for it or stop it") from error
+            raise TriformError(f"another process is writing into {folder}; wait for it or stop it") from error
         yield
