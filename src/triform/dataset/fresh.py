@@ -79,7 +79,7 @@ class FreshBatch:
     Attributes:
         maps: Occupancy maps, uint8, shape (M, H, W).
         commands: The teacher's body twists [m/s, m/s, rad/s], shape (M, 3).
-        neighbours: The other robots in the body frame (x [m], y [m], 1 if Gabriel neighbour within the teacher's sight),
+        neighbours: The other robots in the body frame (x [m], y [m], 1 if a Gabriel neighbour in the teacher's sight),
             shape (M, N - 1, 3).
     """
 

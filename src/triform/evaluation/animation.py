@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,7 +11,7 @@ from PIL import Image
 
 from triform.evaluation.figures import Scene, present
 from triform.evaluation.metrics import SENSING_RANGE
-from triform.evaluation.output import atomic_path
+from triform.evaluation.output import write_bytes
 from triform.evaluation.rollout import Trajectory
 from triform.evaluation.style import (
     GREY,
@@ -65,9 +66,9 @@ def animate(trajectory: Trajectory, scene: Scene, path: Path, speed: float = 4.0
         records.append(len(trajectory.time) - 1)
     frames = _draw_frames(trajectory, scene, records)
     durations = [_FRAME_MS] * (len(frames) - 1) + [_LAST_FRAME_MS]
-    with atomic_path(path) as temporary:
-        frames[0].save(temporary, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
-    return path
+    buffer = io.BytesIO()
+    frames[0].save(buffer, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
+    return write_bytes(path, buffer.getvalue())
 
 
 def _draw_frames(trajectory: Trajectory, scene: Scene, records: list[int]) -> list[Image.Image]:

@@ -57,7 +57,7 @@ def run_demo(config: DemoConfig, console: Console) -> list[Path]:
     controller = config.make_controller()
     began = time.perf_counter()
     poses = starts(config.robots, 1, config.seed)
-    seeds = world_seeds(config.robots, config.seed, 1)
+    seeds = world_seeds(config.robots, config.seed, [0])
     with progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps) as advance:
         trajectory, world = config.run(poses, seeds, controller, advance)
     table = config.measure(trajectory, world)

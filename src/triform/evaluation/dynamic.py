@@ -14,10 +14,11 @@ from rich.console import Console
 from triform.evaluation.evaluate import describe
 from triform.evaluation.metrics import RunTable, concatenate, measure, select, summarise
 from triform.evaluation.output import prepare_file, write_json
+from triform.evaluation.placement import sample_clear_addition
 from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.scenario import Scenario, batches, world_seeds
 from triform.evaluation.tables import format_value, progress_bar, require_parquet, rich_table, write_parquet
-from triform.simulation import World, sample_addition, starts
+from triform.simulation import World, starts
 from triform.types import Controller, IntArray, PrivilegedView, require
 
 Change = Literal["addition", "removal"]
@@ -69,8 +70,8 @@ def run_changes(
 ) -> tuple[Trajectory, RunTable]:
     """Run teams in which one robot comes or goes at ``change_time``.
 
-    A robot that comes appears anywhere at least 0.5 m from everybody and within 2 m of somebody; the one that
-    goes is any, with equal probability.
+    A robot that comes appears anywhere at least 0.5 m from everybody and within 2 m of somebody, clear of walls and
+    pillars and in the same room; the one that goes is any, with equal probability.
 
     Args:
         config: What to run.
@@ -81,10 +82,14 @@ def run_changes(
     Returns:
         The whole trajectories, in which the record of ``change_time`` shows the changed team, and one row of
         measures per run.
+
+    Raises:
+        TriformError: The arena has no place for a start or for a robot that joins.
     """
     poses = starts(config.robots, config.runs, config.seed)
-    seeds = world_seeds(config.robots, config.seed, config.runs, _WORLD_STREAM)
-    draws = world_seeds(config.robots, config.seed, config.runs, _CHANGE_STREAM)
+    config.check_starts(poses)
+    seeds = world_seeds(config.robots, config.seed, range(config.runs), _WORLD_STREAM)
+    draws = world_seeds(config.robots, config.seed, range(config.runs), _CHANGE_STREAM)
     trajectories, tables = [], []
     for batch in batches(config.runs, config.robots):
         work = (batch.stop - batch.start) * config.robots
@@ -106,8 +111,7 @@ def change_teams(world: World, change: Change, draws: list[np.random.SeedSequenc
     for index, draw in enumerate(draws):
         rng = np.random.default_rng(draw)
         if change == "addition":
-            pose = sample_addition(world.poses[index], world.active[index], rng)
-            changed[index] = world.add_robot(index, pose)
+            changed[index] = world.add_robot(index, sample_clear_addition(world, index, rng))
         else:
             changed[index] = rng.choice(np.flatnonzero(world.active[index]))
             world.remove_robot(index, int(changed[index]))
@@ -160,6 +164,8 @@ def summarise_changes(table: RunTable) -> dict[str, Any]:
 def run_dynamic(config: DynamicConfig, console: Console) -> dict[str, Any]:
     """Run additions and removals with a progress bar, keep the results in files and print the table.
 
+    Files are written after the additions and again after the removals, so an interrupted experiment keeps what is done.
+
     Args:
         config: What to run and which files to write.
         console: Where to show progress and table.
@@ -177,20 +183,22 @@ def run_dynamic(config: DynamicConfig, console: Console) -> dict[str, Any]:
         require_parquet()
     began = time.perf_counter()
     controller = config.make_controller()
+    tables: list[RunTable] = []
+    result: dict[str, Any] = {"config": describe(config, controller)}
     total = len(CHANGES) * config.steps * config.runs * config.robots
     with progress_bar(console, "changing teams", total) as advance:
-        tables = [run_changes(config, controller, change, advance)[1] for change in CHANGES]
-    summaries = [summarise_changes(table) for table in tables]
-    result = {
-        "config": describe(config, controller),
-        "wall_seconds": round(time.perf_counter() - began, 3),
-        "results": summaries,
-    }
-    console.print(rich_table(f"dynamic team, {config.controller}", *change_rows(summaries)))
-    if config.json is not None:
-        console.print(f"wrote {write_json(config.json, result)}", soft_wrap=True)
-    if config.parquet is not None:
-        console.print(f"wrote {write_parquet(config.parquet, concatenate(tables))}", soft_wrap=True)
+        for change in CHANGES:
+            tables.append(run_changes(config, controller, change, advance)[1])
+            result["wall_seconds"] = round(time.perf_counter() - began, 3)
+            result["results"] = [summarise_changes(table) for table in tables]
+            if config.json is not None:
+                write_json(config.json, result)
+            if config.parquet is not None:
+                write_parquet(config.parquet, concatenate(tables))
+    console.print(rich_table(f"dynamic team, {config.controller}", *change_rows(result["results"])))
+    for path in (config.json, config.parquet):
+        if path is not None:
+            console.print(f"wrote {path}", soft_wrap=True)
     return result
 
 

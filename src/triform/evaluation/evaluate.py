@@ -30,7 +30,8 @@ class EvaluateConfig(Scenario):
         runs: Runs of each team size.
         seed: A start is a function of team size, seed and index alone.
         starts: File of explicit starts instead (.npy or .csv with columns run, robot, x, y, heading); it then
-            decides the team sizes and the number of runs.
+            decides the team sizes and the number of runs, and runs are counted from 0 in growing order of their
+            numbers.
         json: Where to write the summary.
         parquet: Where to write one row per run; by default beside the summary.
     """
@@ -118,14 +119,17 @@ def evaluate(
         Measures of every run.
 
     Raises:
-        TriformError: A name in the configuration is unknown, or the starts or weights cannot be used.
+        TriformError: A name in the configuration is unknown, or the starts or weights cannot be used; all
+            starts are checked before the first run.
     """
     began = time.perf_counter()
     controller = config.make_controller()
     evaluation = Evaluation(describe(config, controller))
-    for indices, poses in start_groups(config):
-        table = evaluate_runs(config, controller, poses, config.seed, on_step)
-        evaluation.tables.append(table | {"run": indices})
+    groups = start_groups(config)
+    for _, poses in groups:
+        config.check_starts(poses)
+    for indices, poses in groups:
+        evaluation.tables.append(evaluate_runs(config, controller, poses, config.seed, on_step, indices))
         evaluation.wall_seconds = time.perf_counter() - began
         if on_size is not None:
             on_size(evaluation)
@@ -134,6 +138,8 @@ def evaluate(
 
 def start_groups(config: EvaluateConfig) -> list[tuple[IntArray, FloatArray]]:
     """Return the starts of every team size: indices of the runs (runs,) and poses (runs, N, 3).
+
+    The index of a run from a file is its rank, from 0, among all run numbers of the file, whatever the team sizes.
 
     Raises:
         TriformError: The file of starts cannot be used, or a team size has no valid start.
@@ -156,6 +162,7 @@ def evaluate_runs(
     poses: FloatArray,
     seed: int,
     on_step: Callable[[float], None] | None = None,
+    indices: IntArray | None = None,
 ) -> RunTable:
     """Run and measure the starts ``poses`` (runs, N, 3), as many at once as memory likes.
 
@@ -165,12 +172,14 @@ def evaluate_runs(
         poses: Starts of one team size.
         seed: Seed of the worlds' noise.
         on_step: As in ``evaluate``.
+        indices: Index of every run, shape (runs,), on which its noise depends; from 0 by default.
 
     Returns:
         One row per run, in order.
     """
     runs, robots = poses.shape[:2]
-    seeds = world_seeds(robots, seed, runs)
+    indices = np.arange(runs) if indices is None else indices
+    seeds = world_seeds(robots, seed, indices)
     tables = []
     for batch in batches(runs, robots):
         step = None
@@ -179,7 +188,7 @@ def evaluate_runs(
             step = partial(on_step, work)
         trajectory, world = scenario.run(poses[batch], seeds[batch], controller, step)
         tables.append(scenario.measure(trajectory, world))
-    return {"run": np.arange(runs)} | concatenate(tables)
+    return {"run": indices} | concatenate(tables)
 
 
 def describe(scenario: Scenario, controller: Controller[PrivilegedView]) -> dict[str, Any]:

@@ -17,6 +17,8 @@ from triform.evaluation.style import (
     GREY,
     INK,
     ORANGE,
+    PURPLE,
+    SKY,
     VERMILLION,
     Axes,
     Figure,
@@ -189,6 +191,47 @@ def figure_4(runs: RunTable, controller: str) -> Figure:
             axes.set_xlabel("robots")
             axes.grid(visible=False, axis="x")
         _legend_4(figure, controller)
+    return figure
+
+
+#: Heading, key in a summary, factor and unit of the panels that compare controllers.
+_COMPARED = (
+    ("success", "success", 100, "runs [%]"),
+    ("strict", "strict", 100, "runs [%]"),
+    ("compactness", "compactness_mean", 100, "mean [%]"),
+    ("formation error", "formation_error_median", 100, "median [%]"),
+    ("converge time", "converge_time_median", 1, "median [s]"),
+    ("overlap", "collision", 100, "runs [%]"),
+)
+#: So many controllers can be told apart by colour and marker; more share them.
+_SERIES = tuple(zip((BLUE, SKY, INK, VERMILLION, ORANGE, GREEN, PURPLE, GREY), "osD^vPX*", strict=True))
+
+
+def comparison_figure(results: dict[str, list[dict[str, Any]]]) -> Figure:
+    """Draw measures over team size, one series per controller.
+
+    Args:
+        results: Summaries of every controller, one per team size, by its name.
+    """
+    sizes = sorted({int(summary["robots"]) for summaries in results.values() for summary in summaries})
+    with figure_style():
+        figure, panels = plt.subplots(2, 3, figsize=(10.2, 5.6))
+        for letter, axes, (title, key, factor, unit) in zip("abcdef", panels.flat, _COMPARED, strict=True):
+            for index, (label, summaries) in enumerate(results.items()):
+                colour, marker = _SERIES[index % len(_SERIES)]
+                # Side by side, because many values are equal.
+                aside = 0.09 * (index - (len(results) - 1) / 2)
+                places = [sizes.index(summary["robots"]) + aside for summary in summaries]
+                values = [factor * summary[key] for summary in summaries]
+                axes.plot(places, values, marker, ls="-", lw=0.6, color=colour, ms=4.5, mew=0, label=label)
+            axes.set_xticks(range(len(sizes)), [str(robots) for robots in sizes])
+            axes.set_ylim(0, 104 if unit.endswith("[%]") and key != "formation_error_median" else None)
+            axes.set_title(f"{letter}  {title}", loc="left")
+            axes.set_xlabel("robots")
+            axes.set_ylabel(unit)
+            axes.grid(visible=False, axis="x")
+        handles, labels = panels.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 

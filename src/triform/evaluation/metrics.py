@@ -77,7 +77,7 @@ def measure(
     collision: BoolArray | None = None,
     hit_arena: BoolArray | None = None,
 ) -> RunTable:
-    """Measure every run of a trajectory .
+    """Measure every run of a trajectory.
 
     The graph G is the Gabriel graph of all robots; ``*_sensed`` restricts it to pairs within ``sensing_range``.
     A run whose graph has no edge at some moment of its last 5 s, such as that of a single robot, has a

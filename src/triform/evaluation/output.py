@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from triform.files import write_atomically
 from triform.types import TriformError
 
 
@@ -23,10 +22,11 @@ def prepare_folder(folder: Path) -> Path:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _temporary(folder / "probe") as temporary:
-            temporary.touch()
+        with tempfile.TemporaryFile(dir=folder):
+            pass
     except OSError as error:
-        raise TriformError(f"cannot write to the output folder {folder}: {_reason(error)}") from error
+        reason = (error.strerror or str(error)).lower()
+        raise TriformError(f"cannot write to the output folder {folder}: {reason}") from error
     return folder
 
 
@@ -42,26 +42,19 @@ def prepare_file(path: Path) -> Path:
     return path
 
 
-@contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
-    """Offer a temporary file beside ``path`` that takes its name if the block succeeds and vanishes if not.
+def write_bytes(path: Path, content: bytes) -> Path:
+    """Write ``content`` to ``path`` atomically and return it.
 
     Raises:
-        TriformError: The file cannot be written.
+        TriformError: The file cannot be written; ``path`` is then as it was.
     """
-    try:
-        with _temporary(path) as temporary:
-            yield temporary
-            temporary.replace(path)
-    except OSError as error:
-        raise TriformError(f"cannot write {path}: {_reason(error)}") from error
+    write_atomically(path, content)
+    return path
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write ``text`` to ``path`` atomically, in UTF-8."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return path
+    """Write ``text`` to ``path`` atomically as UTF-8."""
+    return write_bytes(path, text.encode("utf-8"))
 
 
 def write_json(path: Path, value: Any) -> Path:
@@ -82,17 +75,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return value
-
-
-@contextmanager
-def _temporary(path: Path) -> Iterator[Path]:
-    # The suffix is kept because writers of images choose their format by it.
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-    try:
-        yield temporary
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _reason(error: OSError) -> str:
-    return (error.strerror or str(error)).lower()

@@ -71,17 +71,27 @@ def write_pages(folder: Path, title: str, sections: list[Section]) -> list[Path]
     ]
 
 
+def write_markdown(path: Path, section: Section) -> Path:
+    """Write one section alone to ``path``."""
+    return write_text(path, "\n".join(_markdown_section(section, "#")))
+
+
 def _markdown(title: str, sections: list[Section]) -> str:
     parts = [f"# {title}\n"]
     for section in sections:
-        parts.append(f"## {section.title}\n\n{section.text}\n")
-        if section.image:
-            parts.append(f"![{section.title}]({section.image})\n")
-        if section.rows:
-            parts.append(markdown_table(section.headings, section.rows))
-        files = ", ".join(f"[{name}]({name})" for name in section.files)
-        parts.append(f"Command: `{section.command}`. Data: {files}.\n")
+        parts += _markdown_section(section, "##")
     return "\n".join(parts)
+
+
+def _markdown_section(section: Section, level: str) -> list[str]:
+    parts = [f"{level} {section.title}\n\n{section.text}\n"]
+    if section.image:
+        parts.append(f"![{section.title}]({section.image})\n")
+    if section.rows:
+        parts.append(markdown_table(section.headings, section.rows))
+    files = ", ".join(f"[{name}]({name})" for name in section.files)
+    parts.append(f"Command: `{section.command}`. Data: {files}.\n")
+    return parts
 
 
 _CSS = """

@@ -1,18 +1,19 @@
-"""The paper's Table I and Fig. 3, 4 and 5 with our numbers beside its own: ``triform reproduce``."""
+"""The paper's Table I and Fig. 3, 4 and 5 with our numbers beside its own, and controllers side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from rich.console import Console
 
 from triform.evaluation import paper
+from triform.evaluation.comparison import Comparison
 from triform.evaluation.dynamic import (
     CHANGE_TIME,
     CHANGES,
@@ -23,10 +24,11 @@ from triform.evaluation.dynamic import (
     summarise_changes,
 )
 from triform.evaluation.evaluate import EvaluateConfig, Evaluation, describe, evaluate, evaluate_runs
-from triform.evaluation.figures import Scene, TeamChange, figure_3, figure_4, figure_5
-from triform.evaluation.metrics import RunTable, concatenate, summarise
+from triform.evaluation.figures import Scene, TeamChange, comparison_figure, figure_3, figure_4, figure_5
+from triform.evaluation.metrics import TOLERANCE, WINDOW, RunTable, concatenate, summarise
 from triform.evaluation.output import prepare_folder, write_json
-from triform.evaluation.page import Section, read_sections, write_pages
+from triform.evaluation.page import Section, read_sections, write_markdown, write_pages
+from triform.evaluation.reproduce_config import KEYS, REAL_PROFILE, Contestant, ReproduceConfig, What
 from triform.evaluation.rollout import Trajectory
 from triform.evaluation.scenario import Scenario, world_seeds
 from triform.evaluation.style import save_figure
@@ -41,10 +43,10 @@ from triform.evaluation.tables import (
     write_parquet,
 )
 from triform.simulation import starts
-from triform.types import Controller, PrivilegedView, require
+from triform.types import Controller, PrivilegedView
 
-What = Literal["table1", "fig3", "fig4", "fig5", "all"]
-KEYS = ["table1", "fig3", "fig4", "fig5"]
+__all__ = ["KEYS", "SIZES", "ReproduceConfig", "What", "reproduce", "trajectory_table"]
+
 SIZES = tuple(paper.SUCCESS)
 
 #: Fig. 5 shows the first of so many runs that qualifies.
@@ -53,31 +55,8 @@ _CANDIDATES = 10
 _Derived = TypeVar("_Derived", bound=Scenario)
 
 
-@dataclass(frozen=True)
-class ReproduceConfig(Scenario):
-    """Settings of a reproduction.
-
-    Attributes:
-        what: Which result of the paper.
-        output: Folder for the results and the page that ties them together.
-        runs: Runs of each team size, and of each change of a team.
-        seed: A start is a function of team size, seed and index alone.
-    """
-
-    what: What = "all"
-    output: Path = Path("results")
-    runs: int = 100
-    seed: int = 7
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(self.what in (*KEYS, "all"), f"what is {self.what!r}; allowed are {', '.join(KEYS)} and all")
-        require(self.runs >= 1, f"runs is {self.runs}; at least 1 is needed")
-        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
-
-
 def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
-    """Produce a result of the paper, or all, with progress, and the page over everything in the folder.
+    """Produce one result, or all, with progress, and the page over everything in the folder.
 
     Args:
         config: What to produce and where to put it.
@@ -92,22 +71,16 @@ def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
     prepare_folder(config.output)
     require_parquet()
     reproduction = _Reproduction(config, console)
-    makers: dict[str, Callable[[], Section]] = {
-        "table1": reproduction.table_1,
-        "fig3": reproduction.figure_3,
-        "fig4": reproduction.figure_4,
-        "fig5": reproduction.figure_5,
-    }
     pages: list[Path] = []
-    for key in KEYS if config.what == "all" else [config.what]:
-        section = makers[key]()
+    for make in reproduction.makers.values():
+        for stage in make():
+            section = stage
+            # After every stage, so that an interrupted reproduction leaves a page over what is done.
+            pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
         console.print(rich_table(section.title, section.headings, section.rows))
         for name in [section.image, *section.files]:
             if name:
                 console.print(f"wrote {config.output / name}", soft_wrap=True)
-        # After every section, so that an interrupted reproduction leaves a page over what is done.
-        sections = read_sections(config.output, KEYS)
-        pages = write_pages(config.output, "Results beside the paper's", sections)
     for page in pages:
         console.print(f"wrote {page}", soft_wrap=True)
     return pages
@@ -120,17 +93,40 @@ class _Reproduction:
         self.config = config
         self.console = console
         self.scene = Scene(config.robot.footprint, config.surroundings, config.distance)
-        self.controller: Controller[PrivilegedView] = config.make_controller()
+        self.evaluations: dict[Contestant, Evaluation] = {}
+        makers: dict[str, Callable[[], Iterator[Section]]] = {
+            "table1": self.table_1,
+            "fig3": self.figure_3,
+            "fig4": self.figure_4,
+            "fig5": self.figure_5,
+            "comparison": self.comparison,
+        }
+        self.makers = makers if config.what == "all" else {config.what: makers[config.what]}
+        # Names and weights that cannot be used are found now, not after hours.
+        if config.what != "comparison":
+            _ = self.controller
+        if "comparison" in self.makers:
+            _ = self.compared
 
     @cached_property
+    def controller(self) -> Controller[PrivilegedView]:
+        """The controller of everything but the comparison."""
+        return self.config.make_controller()
+
+    @cached_property
+    def compared(self) -> Comparison:
+        """The controllers of the comparison and what it found so far."""
+        comparison = Comparison.begin(self.config)
+        for label, reason in comparison.skipped.items():
+            self.console.print(f"the comparison leaves out {label}: {reason}", markup=False, soft_wrap=True)
+        return comparison
+
+    @property
     def evaluation(self) -> Evaluation:
         """All runs of Table I and Fig. 4."""
-        config = self._derive(EvaluateConfig, robots=SIZES, runs=self.config.runs, seed=self.config.seed)
-        total = config.steps * config.runs * sum(SIZES)
-        with self._progress("evaluating", total) as advance:
-            return evaluate(config, advance)
+        return self._evaluate(self.config.own, "evaluating")
 
-    def table_1(self) -> Section:
+    def table_1(self) -> Iterator[Section]:
         """Success of every team size, and four robots like the paper's real ones."""
         results = self.evaluation.results
         real = self._hardware_like()
@@ -180,9 +176,9 @@ class _Reproduction:
             },
         }
         self._write(section, self.evaluation.as_json() | {"hardware_profile": real, "paper": published})
-        return section
+        yield section
 
-    def figure_3(self) -> Section:
+    def figure_3(self) -> Iterator[Section]:
         """Distance histories over trajectories of one run per team size."""
         trajectories, tables = [], []
         total = self.config.steps * sum(SIZES)
@@ -207,9 +203,9 @@ class _Reproduction:
             image="fig3.png",
         )
         self._write(section, {"config": describe(self.config, self.controller), "results": results})
-        return section
+        yield section
 
-    def figure_4(self) -> Section:
+    def figure_4(self) -> Iterator[Section]:
         """Box plots of formation error and converge time."""
         name = self.config.controller
         save_figure(figure_4(self.evaluation.runs, name), self.config.output / "fig4.png")
@@ -227,34 +223,66 @@ class _Reproduction:
             image="fig4.png",
         )
         self._write(section, self.evaluation.as_json())
-        return section
+        yield section
 
-    def figure_5(self) -> Section:
+    def figure_5(self) -> Iterator[Section]:
         """Snapshots of one addition and one removal, and how many of each recover."""
         total = self.config.steps * (_CANDIDATES * (6 + 7) + self.config.runs * (7 + 7))
         with self._progress("changing teams", total) as advance:
-            shown = [
-                self._shown_change("addition", 6, advance),
-                self._shown_change("removal", 7, advance),
-            ]
+            above, which_above = self._shown_change("addition", 6, advance)
+            below, which_below = self._shown_change("removal", 7, advance)
             tables = [self._changes(change, 7, self.config.runs, advance)[1] for change in CHANGES]
-        save_figure(figure_5(shown, self.scene), self.config.output / "fig5.png")
+        save_figure(figure_5([above, below], self.scene), self.config.output / "fig5.png")
         write_parquet(self.config.output / "fig5.parquet", concatenate(tables))
         summaries = [summarise_changes(table) for table in tables]
         section = self._section(
             "fig5",
             "Fig. 5: a robot comes, a robot goes",
-            "Above, a robot (orange) comes to six at 21 s; below, one of seven (orange-red) goes. Shown is the first "
-            "start that had formed before the change and whose sensing graph is connected right after it. The table is "
+            f"Above, a robot (orange) comes to six at {CHANGE_TIME:g} s; below, one of seven (orange-red) goes. "
+            f"Above is {which_above}; below is {which_below}. The table is "
             f"over {self.config.runs} random additions and as many removals to teams of 7. Back: the mean error of "
-            "5 s is below 10 % again within 19 s and stays there; linked: right after the change the pairs within 2 m "
-            "still connect everybody; sensed: back, over pairs within 2 m; recovery time: median, at least 5 s as "
-            "it is the time of a mean over 5 s.",
+            f"{WINDOW:g} s is below {100 * TOLERANCE:g} % again within {self.config.duration - CHANGE_TIME:g} s and "
+            "stays there; linked: right after the change the pairs within 2 m still connect everybody; sensed: back, "
+            f"over pairs within 2 m; recovery time: median, at least {WINDOW:g} s as it is the time of a mean over "
+            f"{WINDOW:g} s.",
             change_rows(summaries),
             image="fig5.png",
         )
         self._write(section, {"config": describe(self.config, self.controller), "results": summaries})
-        return section
+        yield section
+
+    def comparison(self) -> Iterator[Section]:
+        """Several controllers on the same starts; a section over those that are finished after each of them."""
+        compared, folder = self.compared, self.config.output
+        for number, contestant in enumerate(list(compared.waiting), start=1):
+            label = contestant.label
+            evaluation = self._evaluate(contestant, f"{label} ({number} of {number - 1 + len(compared.waiting)})")
+            compared.finish(evaluation)
+            self.console.print(f"{label} took {evaluation.wall_seconds:.0f} s", markup=False)
+            save_figure(comparison_figure(compared.results), folder / "comparison.png")
+            write_parquet(folder / "comparison.parquet", compared.runs)
+            section = self._section(
+                "comparison", "Controllers side by side", compared.text, compared.table, image="comparison.png"
+            )
+            section.files.append("comparison.md")
+            write_markdown(folder / "comparison.md", section)
+            self._write(section, compared.as_json())
+            yield section
+
+    def _evaluate(self, contestant: Contestant, description: str) -> Evaluation:
+        """Return all runs of a controller, which are computed once."""
+        if contestant not in self.evaluations:
+            config = self._derive(
+                EvaluateConfig,
+                controller=contestant.controller,
+                weights=contestant.weights,
+                robots=SIZES,
+                runs=self.config.runs,
+                seed=self.config.seed,
+            )
+            with self._progress(description, config.steps * config.runs * sum(SIZES)) as advance:
+                self.evaluations[contestant] = evaluate(config, advance)
+        return self.evaluations[contestant]
 
     def _derive(self, kind: type[_Derived], **changes: Any) -> _Derived:
         """Return a configuration of another kind for the same scenario."""
@@ -263,13 +291,13 @@ class _Reproduction:
 
     def _first_run(self, robots: int, advance: Advance) -> tuple[Trajectory, RunTable]:
         poses = starts(robots, 1, self.config.seed)
-        seeds = world_seeds(robots, self.config.seed, 1)
+        seeds = world_seeds(robots, self.config.seed, [0])
         trajectory, world = self.config.run(poses, seeds, self.controller, partial(advance, robots))
         return trajectory, self.config.measure(trajectory, world)
 
     def _hardware_like(self) -> dict[str, Any]:
         """Measure four robots with the hardware profile."""
-        scenario = self._derive(Scenario, profile="hardware")
+        scenario = self._derive(Scenario, profile=REAL_PROFILE)
         poses = starts(paper.REAL_ROBOTS, self.config.runs, self.config.seed)
         with self._progress("hardware profile", scenario.steps * poses.shape[0] * poses.shape[1]) as advance:
             table = evaluate_runs(scenario, self.controller, poses, self.config.seed, advance)
@@ -279,11 +307,22 @@ class _Reproduction:
         config = self._derive(DynamicConfig, robots=robots, runs=runs, seed=self.config.seed)
         return run_changes(config, self.controller, change, advance)
 
-    def _shown_change(self, change: Change, robots: int, advance: Advance) -> TeamChange:
+    def _shown_change(self, change: Change, robots: int, advance: Advance) -> tuple[TeamChange, str]:
+        """Choose the run to show, and say which it is."""
         trajectory, table = self._changes(change, robots, _CANDIDATES, advance)
-        suitable = table["formed_before"] & table["connected_start"]
+        formed, connected = table["formed_before"], table["connected_start"]
+        shown = int(np.argmax(formed & connected))
+        wanted = "had formed before the change and whose sensing graph is connected right after it"
+        if formed[shown] and connected[shown]:
+            which = f"start {shown} of team size {robots}, the first that {wanted}"
+        else:
+            which = (
+                f"start {shown} of team size {robots}, which {'had' if formed[shown] else 'had not'} formed before "
+                f"the change and whose sensing graph {'is' if connected[shown] else 'is not'} connected right after "
+                f"it: none of the first {_CANDIDATES} starts had formed and stayed connected"
+            )
         after = robots + 1 if change == "addition" else robots - 1
-        return TeamChange(trajectory.run(int(np.argmax(suitable))), CHANGE_TIME, f"{robots} → {after} robots")
+        return TeamChange(trajectory.run(shown), CHANGE_TIME, f"{robots} → {after} robots"), which
 
     def _row(self, robots: str, success: str, error: str, time: str, ours: dict[str, Any]) -> list[str]:
         return [
@@ -301,13 +340,7 @@ class _Reproduction:
     def _section(
         self, key: str, title: str, text: str, table: tuple[list[str], list[list[str]]], image: str = ""
     ) -> Section:
-        config = self.config
-        settings = [f"--controller {config.controller}", f"--runs {config.runs}", f"--seed {config.seed}"]
-        settings += [f"--weights {config.weights}"] if config.weights is not None else []
-        settings += [f"--profile {config.profile}"] if config.profile != Scenario.profile else []
-        settings += [f"--arena {config.arena}"] if config.arena != Scenario.arena else []
-        command = " ".join(["triform reproduce", key, *settings])
-        return Section(key, title, text, command, *table, image, [f"{key}.json", f"{key}.parquet"])
+        return Section(key, title, text, self.config.command(key), *table, image, [f"{key}.json", f"{key}.parquet"])
 
     def _write(self, section: Section, values: dict[str, Any]) -> None:
         write_json(self.config.output / f"{section.key}.json", values | {"section": section.as_json()})

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, Team, View, require
+from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, Team, TriformError, View, require
 
 ViewT = TypeVar("ViewT", bound=View)
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -82,9 +82,15 @@ def control(
 
     Raises:
         ConfigurationError: ``duration`` is not a positive whole number of control periods.
+        TriformError: The controller needs true poses and the team does not show them; no command has been sent then.
     """
     for _ in range(control_steps(duration, team.control_period)):
         view = team.observe()
+        if controller.privileged and not isinstance(view, PrivilegedView):
+            raise TriformError(
+                f"the controller {controller.description['name']!r} needs everybody's true pose, which this team "
+                "does not show; only a controller that is not privileged can drive it"
+            )
         commands = controller.command(view)
         if on_step is not None:
             on_step(view, commands)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +10,10 @@ import numpy as np
 
 from triform.control import make_controller
 from triform.evaluation.metrics import RunTable, measure
+from triform.evaluation.placement import blocked_starts
 from triform.evaluation.rollout import Trajectory, control_steps, rollout
 from triform.simulation import Arena, Profile, World, get_arena, get_profile
-from triform.types import Controller, FloatArray, PrivilegedView, require
+from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, require
 
 #: So many robots are simulated at once: enough to fill a processor, few enough for any memory.
 ROBOTS_AT_ONCE = 2000
@@ -23,7 +24,8 @@ class Scenario:
     """Everything about a run but its start.
 
     Attributes:
-        controller: Name of the controller: policy, expert, expert-sensed or scan-pipeline.
+        controller: Name of the controller, one of triform.control.CONTROLLERS: policy, expert, expert-sensed,
+            expert-odd or scan-pipeline.
         weights: Weights of the policy: a name of shipped ones or a checkpoint; the default ones if omitted.
         profile: Name of the robot profile: ideal or hardware.
         arena: Name of the arena: open, room-6 or pillars.
@@ -43,6 +45,7 @@ class Scenario:
     def __post_init__(self) -> None:
         require(0 < self.distance < np.inf, f"distance is {self.distance} m; it must be positive and finite")
         require(0 < self.duration < np.inf, f"duration is {self.duration} s; it must be positive and finite")
+        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
 
     @property
     def robot(self) -> Profile:
@@ -68,8 +71,38 @@ class Scenario:
         return make_controller(self.controller, distance=self.distance, weights=self.weights, threads=self.threads)
 
     def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence], **options: Any) -> World:
-        """Put robots at ``poses`` (B, N, 3) into B worlds with their own noise."""
-        return World(poses, self.robot, self.surroundings, seeds, **options)
+        """Put robots at ``poses`` (B, N, 3) into B worlds with their own noise.
+
+        Raises:
+            ConfigurationError: The arena has no place for a start.
+        """
+        world = World(poses, self.robot, self.surroundings, seeds, **options)
+        self._refuse_blocked(blocked_starts(world), world.active.shape[1])
+        return world
+
+    def check_starts(self, poses: FloatArray) -> None:
+        """Make sure that the arena has a place for all starts (runs, N, 3), before the first of them is run.
+
+        Raises:
+            ConfigurationError: Robots of a start overlap a wall or pillar, or stand on both sides of a wall.
+        """
+        runs, robots = poses.shape[:2]
+        arena = self.surroundings
+        if len(arena.walls) + len(arena.pillars) == 0:
+            return
+        blocked = [
+            blocked_starts(World(poses[batch], self.robot, arena, [0] * (batch.stop - batch.start)))
+            for batch in batches(runs, robots)
+        ]
+        self._refuse_blocked(np.concatenate(blocked), robots)
+
+    def _refuse_blocked(self, blocked: BoolArray, robots: int) -> None:
+        require(
+            not blocked.any(),
+            f"{blocked.sum()} of {len(blocked)} starts of {robots} robots touch a wall or pillar of the arena "
+            f"{self.arena!r} or have robots on both sides of a wall; choose another arena, smaller teams or other "
+            "starts",
+        )
 
     def run(
         self,
@@ -94,16 +127,16 @@ class Scenario:
         )
 
 
-def world_seeds(robots: int, seed: int, runs: int, purpose: int = 1) -> list[np.random.SeedSequence]:
+def world_seeds(robots: int, seed: int, runs: Iterable[int], purpose: int = 1) -> list[np.random.SeedSequence]:
     """Return one seed per run for its noise; a function of (robots, seed, index) alone, like the starts.
 
     Args:
         robots: Number of robots N.
         seed: Seed of the whole evaluation.
-        runs: Number of runs.
+        runs: Index of every run.
         purpose: Keeps streams for different uses apart; the starts themselves use none.
     """
-    return [np.random.SeedSequence([robots, seed, index, purpose]) for index in range(runs)]
+    return [np.random.SeedSequence([robots, seed, int(index), purpose]) for index in runs]
 
 
 def batches(runs: int, robots: int, robots_at_once: int | None = None) -> Iterator[slice]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from triform.evaluation.output import atomic_path
+from triform.evaluation.output import write_bytes
 from triform.geometry import body_to_world
 from triform.simulation import Arena, Footprint
 from triform.types import BoolArray, FloatArray
@@ -30,6 +31,8 @@ __all__ = [
     "GREY",
     "INK",
     "ORANGE",
+    "PURPLE",
+    "SKY",
     "VERMILLION",
     "Axes",
     "Figure",
@@ -59,6 +62,8 @@ BLUE = "#0072b2"
 ORANGE = "#e69f00"
 VERMILLION = "#d55e00"
 GREEN = "#009e73"
+SKY = "#56b4e9"
+PURPLE = "#cc79a7"
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -94,13 +99,14 @@ def figure_style() -> Iterator[None]:
 
 
 def save_figure(figure: Figure, path: Path) -> Path:
-    """Write ``figure`` to ``path`` atomically and close it."""
+    """Write ``figure`` to ``path`` atomically, in the format that its name says, and close it."""
+    buffer = io.BytesIO()
     try:
-        with atomic_path(path) as temporary, figure_style():
-            figure.savefig(temporary)
+        with figure_style():
+            figure.savefig(buffer, format=path.suffix.removeprefix("."))
     finally:
         plt.close(figure)
-    return path
+    return write_bytes(path, buffer.getvalue())
 
 
 def robot_colours(robots: int) -> list[Any]:

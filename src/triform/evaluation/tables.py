@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 
 from triform.evaluation.metrics import RunTable
-from triform.evaluation.output import atomic_path
+from triform.evaluation.output import write_bytes
 from triform.types import TriformError
 
 
@@ -63,9 +64,9 @@ def write_parquet(path: Path, table: RunTable) -> Path:
     import pyarrow as pa
     from pyarrow import parquet
 
-    with atomic_path(path) as temporary:
-        parquet.write_table(pa.table({name: pa.array(column) for name, column in table.items()}), temporary)
-    return path
+    buffer = io.BytesIO()
+    parquet.write_table(pa.table({name: pa.array(column) for name, column in table.items()}), buffer)
+    return write_bytes(path, buffer.getvalue())
 
 
 #: Heading, key in a summary and format of every column that people are shown; short, to fit a terminal.
@@ -86,9 +87,9 @@ _COLUMNS = (
 #: What the headings mean, for pages.
 LEGEND = (
     "Success: the formation error, averaged over the last 5 s, is below 10 %; sensed: the same over pairs within "
-    "2 m; strict: the run ends in a true triangulation; time: median converge time of the runs that converge; "
-    "compact: edges over the most that so many robots can have; closest: smallest distance between two centres; "
-    "overlap: runs in which two footprints ever overlapped."
+    "2 m; strict: the run ends in a true triangulation; median and 95 % error: quantiles of the formation error; time: "
+    "median converge time of the runs that converge; compact: edges over the most that so many robots can have; "
+    "closest: smallest distance between two centres; overlap: runs in which two footprints ever overlapped."
 )
 
 
@@ -107,10 +108,11 @@ def format_value(value: Any, kind: str) -> str:
     return f"{value:{kind}}"
 
 
-def summary_rows(summaries: Sequence[dict[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """Return headings and formatted rows of summaries, one row per summary."""
-    headings = [heading for heading, _, _ in _COLUMNS]
-    rows = [[format_value(summary[key], kind) for _, key, kind in _COLUMNS] for summary in summaries]
+def summary_rows(summaries: Sequence[dict[str, Any]], without: Sequence[str] = ()) -> tuple[list[str], list[list[str]]]:
+    """Return headings and formatted rows of summaries, one row per summary, but not the headings in ``without``."""
+    columns = [column for column in _COLUMNS if column[0] not in without]
+    headings = [heading for heading, _, _ in columns]
+    rows = [[format_value(summary[key], kind) for _, key, kind in columns] for summary in summaries]
     return headings, rows
 
 

@@ -127,7 +127,8 @@ def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
     """Binary occupancy maps of scans (Algorithm 3).
 
     The robot is at the centre of the map; rows grow with x (forward), columns with y (left); cell (i, j) covers
-    ``x`` in ``[i * cell - half, (i + 1) * cell - half)`` and ``y`` likewise. Returns outside the map, which only its corners or a longer range allow, are ignored.
+    ``x`` in ``[i * cell - half, (i + 1) * cell - half)`` and ``y`` likewise. Returns outside the
+    map are ignored.
 
     Args:
         scan: Ranges of shape (..., R); what is not in (0, range_max] is no return (REP 117).

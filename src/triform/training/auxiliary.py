@@ -1,8 +1,8 @@
 """Auxiliary targets on patch tokens, used in training only.
 
 Every occupied patch also predicts, for the robot nearest to the centroid of its occupied cells: that robot's term of
-the teacher's sum, where its centre lies and whether it is a Gabriel neighbour. The truth behind a scan is known while training, and
-this tells each token what the command's sum is made of. The head is thrown away afterwards.
+the teacher's sum, where its centre lies and whether it is a Gabriel neighbour. The truth behind a scan is known while
+training, and this tells each token what the command's sum is made of. The head is thrown away afterwards.
 """
 
 from __future__ import annotations
