@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from triform.evaluation import DynamicConfig, run_changes, run_dynamic, summarise_changes
+from triform.evaluation import DynamicConfig, dynamic, run_changes, run_dynamic, summarise_changes
 from triform.types import ConfigurationError
 
 QUICK = {"controller": "expert-sensed", "robots": 3, "runs": 4, "seed": 1, "change_time": 6.0, "duration": 14.0}
@@ -83,9 +83,29 @@ def test_results_are_kept_and_repeatable(tmp_path, console, addition):
     np.testing.assert_array_equal(frame[frame.change == "addition"].formation_error, addition[1]["formation_error"])
 
 
+def test_finished_additions_survive_an_interruption(tmp_path, console, monkeypatch):
+    def interrupted(config, controller, change, on_step=None):
+        if change == "removal":
+            raise KeyboardInterrupt
+        return run_changes(config, controller, change, on_step)
+
+    monkeypatch.setattr(dynamic, "run_changes", interrupted)
+    config = DynamicConfig(json=tmp_path / "out.json", parquet=tmp_path / "out.parquet", **QUICK)
+    with pytest.raises(KeyboardInterrupt):
+        run_dynamic(config, console)
+    assert [entry["change"] for entry in json.loads((tmp_path / "out.json").read_text())["results"]] == ["addition"]
+    assert pd.read_parquet(tmp_path / "out.parquet").change.tolist() == ["addition"] * 4
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({"robots": 1}, "robots is 1"), ({"runs": 0}, "runs is 0"), ({"change_time": 14.0}, "change_time is 14")],
+    [
+        ({"robots": 1}, "robots is 1"),
+        ({"runs": 0}, "runs is 0"),
+        ({"change_time": 14.0}, "change_time is 14"),
+        ({"change_time": 4.9}, "change_time is 4.9"),
+        ({"change_time": 9.1}, "change_time is 9.1"),
+    ],
 )
 def test_bad_settings_are_refused(changes, message):
     with pytest.raises(ConfigurationError, match=message):

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from triform.control import CONTROLLERS
 from triform.evaluation import EvaluateConfig, Scenario, evaluate, run_evaluation
 from triform.evaluation import scenario as scenario_module
+from triform.evaluation.evaluate import start_groups
 from triform.evaluation.scenario import batches, world_seeds
 from triform.simulation import starts
 from triform.types import ConfigurationError, TriformError
@@ -70,7 +73,7 @@ def test_batches_hold_at_least_one_run_and_cover_all():
 def test_world_seeds_differ_between_runs_sizes_and_purposes():
     states = {
         tuple(seed.generate_state(2))
-        for sequences in (world_seeds(3, 7, 4), world_seeds(4, 7, 4), world_seeds(3, 7, 4, purpose=9))
+        for sequences in (world_seeds(3, 7, range(4)), world_seeds(4, 7, range(4)), world_seeds(3, 7, range(4), 9))
         for seed in sequences
     }
     assert len(states) == 12
@@ -90,6 +93,38 @@ def test_explicit_starts_decide_sizes_and_disconnected_ones_are_reported_apart(t
     assert evaluation.runs["run"].tolist() == [0, 2, 1]
 
 
+def test_noise_of_a_run_from_a_file_depends_on_its_index_in_the_file_alone(tmp_path, monkeypatch):
+    """The same start, once as the only one of its size, once behind another of its size, has the same noise."""
+
+    class Wavering:
+        privileged = False
+        description = {"name": "wavering"}  # noqa: RUF012
+
+        def command(self, view):
+            nearness = np.exp(-np.nan_to_num(view.scans.ranges, nan=9.0)).mean(axis=-1)
+            return nearness[..., None] * [1.0, 0.0, 0.0]
+
+    monkeypatch.setattr(scenario_module, "make_controller", lambda *args, **options: Wavering())
+    pair, three = ([(i, x, 0.0, 0.0) for i, x in enumerate(places)] for places in ([0.0, 0.8], [0.0, 1.0, 2.0]))
+    tables = []
+    for name, order in (("a.npy", [three, pair]), ("b.npy", [pair, pair])):
+        np.save(tmp_path / name, np.array([(run, *row) for run, team in enumerate(order) for row in team]))
+        tables.append(evaluate(EvaluateConfig(**(QUICK | {"starts": tmp_path / name, "profile": "hardware"}))).runs)
+    (alone,) = tables[0]["formation_error"][tables[0]["robots"] == 2]
+    first, second = tables[1]["formation_error"]
+    assert tables[0]["run"].tolist() == [1, 0]
+    assert alone == second
+    assert alone != first
+
+
+def test_runs_of_a_file_are_counted_in_the_order_of_their_numbers(tmp_path):
+    rows = [(run, i, float(x), 0.0, 0.0) for run, places in ((40, (0, 1)), (7, (0, 1.5))) for i, x in enumerate(places)]
+    np.save(tmp_path / "starts.npy", np.array(rows))
+    ((indices, poses),) = start_groups(EvaluateConfig(**(QUICK | {"starts": tmp_path / "starts.npy"})))
+    assert indices.tolist() == [0, 1]
+    assert poses[:, 1, 0].tolist() == [1.5, 1.0]
+
+
 @pytest.mark.parametrize("robots", [1, 2])
 def test_the_smallest_teams_have_defined_results(robots, tmp_path, console):
     path = tmp_path / "out.json"
@@ -102,8 +137,21 @@ def test_the_smallest_teams_have_defined_results(robots, tmp_path, console):
 
 def test_arena_hits_are_reported(tmp_path):
     scenario = Scenario(controller="expert-sensed", arena="room-6", duration=6.0)
-    trajectory, world = scenario.run(np.array([[[2.95, 0.0, 0.0], [1.95, 0.0, 0.0]]]), world_seeds(2, 0, 1))
+    trajectory, world = scenario.run(np.array([[[2.8, 0.0, 0.0], [2.3, 0.0, 0.0]]]), world_seeds(2, 0, [0]))
     assert scenario.measure(trajectory, world)["hit_arena"].all()
+
+
+def test_starts_that_the_arena_blocks_are_refused_before_anything_runs(monkeypatch):
+    config = EvaluateConfig(**(QUICK | {"robots": (3, 25), "runs": 4, "arena": "room-6"}))
+    monkeypatch.setattr(EvaluateConfig, "run", lambda *given, **options: pytest.fail("too late"))
+    monkeypatch.setattr(scenario_module, "ROBOTS_AT_ONCE", 25)
+    with pytest.raises(ConfigurationError, match=r"^4 of 4 starts of 25 robots touch [^\n]*'room-6'"):
+        evaluate(config)
+
+
+def test_every_controller_is_in_the_help():
+    for name in CONTROLLERS:
+        assert re.search(rf"(?<![-\w]){name}(?![-\w])", Scenario.__doc__)
 
 
 def test_finished_sizes_survive_an_interruption(tmp_path, console, monkeypatch):
@@ -139,6 +187,7 @@ def test_bad_output_is_refused_before_anything_runs(tmp_path, console, monkeypat
         ({"seed": -1}, "seed is -1"),
         ({"distance": -1.0}, "distance is -1"),
         ({"duration": float("nan")}, "duration is nan"),
+        ({"threads": 0}, "threads is 0"),
     ],
 )
 def test_bad_settings_are_refused(changes, message):
@@ -159,5 +208,5 @@ def test_a_run_too_short_to_be_measured_is_refused():
 
 def test_scenario_run_starts_where_it_is_told():
     poses = starts(3, 2, 1)
-    trajectory, _ = Scenario(controller="expert", duration=1.0).run(poses, world_seeds(3, 1, 2))
+    trajectory, _ = Scenario(controller="expert", duration=1.0).run(poses, world_seeds(3, 1, [0, 1]))
     np.testing.assert_allclose(trajectory.poses[:, 0], poses)

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from triform.evaluation.output import atomic_path, plain, prepare_file, prepare_folder, write_json, write_text
+from triform.evaluation.output import plain, prepare_file, prepare_folder, write_bytes, write_json, write_text
 from triform.types import TriformError
 
 
@@ -17,16 +19,15 @@ def test_json_has_null_for_what_is_no_number(tmp_path):
     assert plain(None) is None
 
 
-def test_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
     path = write_text(tmp_path / "out.txt", "old")
 
-    def interrupted():
-        with atomic_path(path) as temporary:
-            temporary.write_text("half of the n")
-            raise KeyboardInterrupt
+    def full(descriptor):
+        raise OSError(errno.EIO, "disk on fire")
 
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(TriformError, match="disk on fire"):
+        write_bytes(path, b"new")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 

@@ -1,17 +1,22 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import re
+import shlex
+from pathlib import Path
 
 import pandas as pd
 import pytest
+import tyro
 from PIL import Image
 
+from triform.cli import COMMANDS
 from triform.evaluation import reproduce as module
 from triform.evaluation.demo import DemoConfig, run_demo
 from triform.evaluation.page import Section, read_sections, write_pages
-from triform.evaluation.reproduce import ReproduceConfig, reproduce
+from triform.evaluation.reproduce import KEYS, ReproduceConfig, reproduce
 from triform.types import ConfigurationError, TriformError
 
 
@@ -22,21 +27,27 @@ def _small(monkeypatch):
 
 
 def test_all_results_are_written_and_tied_together(tmp_path, console):
-    config = ReproduceConfig(controller="expert-sensed", what="all", output=tmp_path, runs=2, duration=27.0)
+    compare = ("expert-sensed", "expert")
+    config = ReproduceConfig(
+        controller="expert-sensed", what="all", output=tmp_path, runs=2, duration=27.0, compare=compare
+    )
     pages = reproduce(config, console)
     assert pages == [tmp_path / "index.md", tmp_path / "index.html"]
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
         "index.md", "index.html", "table1.json", "table1.parquet", "fig3.json", "fig3.parquet", "fig3.png",
         "fig4.json", "fig4.parquet", "fig4.png", "fig5.json", "fig5.parquet", "fig5.png",
+        "comparison.json", "comparison.parquet", "comparison.png", "comparison.md",
     }  # fmt: skip
     markdown = pages[0].read_text()
-    assert re.findall(r"^## (.*?):", markdown, re.MULTILINE) == ["Table I", "Fig. 3", "Fig. 4", "Fig. 5"]
+    titles = re.findall(r"^## ([^:\n]*)", markdown, re.MULTILINE)
+    assert titles == ["Table I", "Fig. 3", "Fig. 4", "Fig. 5", "Controllers side by side"]
     assert "| 5 | 100 % |" in markdown
     linked = set(re.findall(r"\]\(([^)]+)\)", markdown))
     assert linked == names - {"index.md", "index.html"}
     page = pages[1].read_text()
-    assert len(re.findall(r'src="data:image/png;base64,', page)) == 3
+    assert len(re.findall(r'src="data:image/png;base64,', page)) == 4
+    assert "within 6 s and stays there" in page
     assert "http" not in page
     table = json.loads((tmp_path / "table1.json").read_text())
     assert table["paper"]["success"]["13"] == 1.0
@@ -46,6 +57,10 @@ def test_all_results_are_written_and_tied_together(tmp_path, console):
     assert poses.groupby("robots").size().to_dict() == {5: 5 * 271, 7: 7 * 271}
     changes = json.loads((tmp_path / "fig5.json").read_text())["results"]
     assert [(entry["robots_before"], entry["robots_after"]) for entry in changes] == [(7, 8), (7, 6)]
+    compared = json.loads((tmp_path / "comparison.json").read_text())["controllers"]
+    assert [entry["name"] for entry in compared] == ["expert-sensed", "expert"]
+    assert compared[0]["results"] == table["results"]
+    assert "[comparison.md](comparison.md)" in markdown
 
 
 def test_one_result_joins_those_already_there(tmp_path, console):
@@ -55,7 +70,9 @@ def test_one_result_joins_those_already_there(tmp_path, console):
     markdown = (tmp_path / "index.md").read_text()
     assert "## Fig. 3" in markdown
     assert "## Fig. 4" in markdown
-    assert "triform reproduce fig4 --controller expert --runs 1 --seed 7" in markdown
+    assert (
+        f"triform reproduce fig4 --controller expert --duration 6.0 --output {tmp_path} --runs 1 --seed 7" in markdown
+    )
 
 
 def test_a_foreign_file_of_that_name_is_refused(tmp_path):
@@ -74,10 +91,85 @@ def test_pages_escape_what_they_show(tmp_path):
     assert base64.b64encode(b"pixels").decode() in page
 
 
-@pytest.mark.parametrize("changes", [{"what": "fig9"}, {"runs": 0}, {"seed": -1}])
-def test_bad_settings_are_refused(changes):
-    with pytest.raises(ConfigurationError):
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"controller": "expert", "duration": 37.5, "distance": 0.9, "profile": "hardware", "arena": "room-6"},
+        {"weights": "my policies/it's best", "threads": 3, "runs": 5, "seed": 2, "output": Path("a b")},
+        {"compare": ("policy", "scan-pipeline"), "weights": "large"},
+    ],
+)
+def test_the_command_on_the_page_gives_the_same_settings(key, changes):
+    config = ReproduceConfig(what=key, **changes)
+    words = shlex.split(config.command(key))
+    assert words[:3] == ["triform", "reproduce", key]
+    options, _ = COMMANDS["reproduce"][1]()
+    again = tyro.cli(options, args=words[2:])
+    # The comparison has controllers of its own, and weights matter only to those that are a plain policy.
+    unsaid = {"compare"} if key != "comparison" else {"controller"}
+    if key == "comparison" and "policy" not in config.compare:
+        unsaid |= {"weights"}
+    for option in dataclasses.fields(config):
+        if option.name not in unsaid:
+            assert getattr(again, option.name) == getattr(config, option.name), option.name
+    assert again.contestants == config.contestants or key != "comparison"
+
+
+def test_defaults_are_not_said():
+    assert ReproduceConfig().command("fig3") == "triform reproduce fig3 --controller policy --runs 100 --seed 7"
+    assert ReproduceConfig().command("comparison") == "triform reproduce comparison --runs 100 --seed 7"
+
+
+@pytest.mark.parametrize("formed", [True, False])
+def test_the_page_says_which_change_is_shown(formed, tmp_path, console, monkeypatch):
+    run_changes = module.run_changes
+
+    def changed(config, controller, change, on_step=None):
+        trajectory, table = run_changes(config, controller, change, on_step)
+        table["connected_start"][:] = True
+        table["formed_before"][:] = [False, formed]
+        return trajectory, table
+
+    monkeypatch.setattr(module, "run_changes", changed)
+    reproduce(ReproduceConfig(controller="expert", what="fig5", output=tmp_path, runs=2, duration=26.0), console)
+    text = (tmp_path / "index.md").read_text()
+    if formed:
+        assert "Above is start 1 of team size 6, the first that had formed" in text
+        assert "below is start 1 of team size 7, the first that had formed" in text
+    else:
+        assert "Above is start 0 of team size 6, which had not formed before the change" in text
+        assert "whose sensing graph is connected right after it: none of the first 2 starts" in text
+    assert "within 5 s and stays there" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"what": "fig9"}, "what is 'fig9'"),
+        ({"runs": 0}, "runs is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"duration": 25.0}, "duration is 25 s; all needs at least 26 s"),
+        ({"what": "fig5", "duration": 21.0}, "duration is 21 s; fig5 needs at least 26 s"),
+        ({"what": "fig4", "duration": 4.0}, "duration is 4 s; fig4 needs at least 5 s, to measure a run"),
+        ({"what": "fig4", "duration": 6.25}, "whole number of control periods of 0.1 s"),
+        ({"what": "table1", "duration": 27.1}, "table1 also runs the profile 'hardware'"),
+        ({"compare": ()}, "compare is empty"),
+        ({"compare": ("magic",)}, "no controller 'magic' to compare"),
+        ({"compare": ("expert:large",)}, "cannot compare 'expert:large'; only a policy has weights"),
+        ({"compare": ("policy:",)}, "cannot compare 'policy:'"),
+        ({"compare": ("policy", "policy:default")}, "compare names policy:default 2 times"),
+    ],
+)
+def test_bad_settings_are_refused(changes, message):
+    with pytest.raises(ConfigurationError, match=f"^[^\n]*{re.escape(message)}"):
         ReproduceConfig(**changes)
+
+
+def test_durations_that_no_result_stumbles_over_are_taken():
+    assert ReproduceConfig(duration=26.0).steps == 260
+    assert ReproduceConfig(what="fig3", duration=5.1).steps == 51
 
 
 def test_a_bad_folder_is_refused_before_anything_runs(tmp_path, console):

@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from triform.control import CONTROLLERS, make_controller
 from triform.evaluation import Trajectory, control, rollout
-from triform.types import ConfigurationError, PrivilegedView, Scan, ScanConfig, View
+from triform.types import ConfigurationError, PrivilegedView, Scan, ScanConfig, TriformError, View
 
 
 class Team:
@@ -65,6 +66,15 @@ def test_any_team_can_be_driven_without_true_poses():
     team = BlindTeam(1, 1)
     control(team, Forward(), 1.0)
     assert team.poses[0, 0, 0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name.startswith("expert")])
+def test_a_controller_that_needs_true_poses_is_refused_by_a_team_without(name):
+    team = BlindTeam()
+    with pytest.raises(TriformError, match=f"^the controller '{name}' needs everybody's true pose[^\n]+$"):
+        control(team, make_controller(name), 1.0)
+    assert team.events == ["observe"]
+    assert not team.poses.any()
 
 
 def test_progress_is_reported_once_per_period():

@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from triform.evaluation.evaluate import describe
-from triform.evaluation.metrics import RunTable, concatenate, measure, select, summarise
+from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure, select, summarise
 from triform.evaluation.output import prepare_file, write_json
 from triform.evaluation.placement import sample_clear_addition
 from triform.evaluation.rollout import Trajectory, rollout
@@ -57,8 +57,9 @@ class DynamicConfig(Scenario):
         require(self.runs >= 1, f"runs is {self.runs}; at least 1 is needed")
         require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
         require(
-            0 < self.change_time < self.duration,
-            f"change_time is {self.change_time} s; it must lie within the run of {self.duration} s",
+            WINDOW <= self.change_time <= self.duration - WINDOW,
+            f"change_time is {self.change_time} s; a run of {self.duration} s is measured over {WINDOW:g} s before the "
+            f"change and at its end, so the change must come at least {WINDOW:g} s after the start and before the end",
         )
 
 
