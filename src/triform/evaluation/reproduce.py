@@ -77,7 +77,9 @@ def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
             section = stage
             # After every stage, so that an interrupted reproduction leaves a page over what is done.
             pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
-        console.print(rich_table(section.title, section.headings, section.rows))
+        # Controllers have been shown one by one; together they are too wide for many terminals.
+        if section.key != "comparison":
+            console.print(rich_table(section.title, section.headings, section.rows))
         for name in [section.image, *section.files]:
             if name:
                 console.print(f"wrote {config.output / name}", soft_wrap=True)
@@ -258,7 +260,8 @@ class _Reproduction:
             label = contestant.label
             evaluation = self._evaluate(contestant, f"{label} ({number} of {number - 1 + len(compared.waiting)})")
             compared.finish(evaluation)
-            self.console.print(f"{label} took {evaluation.wall_seconds:.0f} s", markup=False)
+            title = f"{label}, {evaluation.wall_seconds:.1f} s"
+            self.console.print(rich_table(title, *summary_rows(evaluation.results)))
             save_figure(comparison_figure(compared.results), folder / "comparison.png")
             write_parquet(folder / "comparison.parquet", compared.runs)
             section = self._section(

@@ -53,7 +53,7 @@ class ReproduceConfig(Scenario):
         output: Folder for the results and the page that ties them together.
         runs: Runs of each team size, and of each change of a team.
         seed: A start is a function of team size, seed and index alone.
-        compare: Controllers of the comparison; ``policy:NAME`` is the policy with those weights, and one whose weights
+        compare: Controllers of the comparison; policy:NAME is the policy with those weights, and one whose weights
             are not there is left out.
     """
 
