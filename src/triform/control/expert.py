@@ -106,8 +106,8 @@ class Expert:
     Coincident robots exert no force on each other: no direction is defined. The turn rate is always zero.
 
     With an ``odd_gain`` every edge also pushes sideways, ``odd_gain (|p_i - p_j| - d*)`` at +90 degrees to it (odd
-    elasticity). That term vanishes wherever all edges have their length, so a triangulation stays at rest; but
-    where strained edges balance each other in a locked arrangement, the odd forces do not, and it unlocks.
+    elasticity). The sum turns each command by ``atan(odd_gain / gain)`` and lengthens it, so a team rests exactly where
+    it rested before; but it gets there in a swirl, and on the way ends in a better formation more often.
     """
 
     privileged = True

@@ -14,6 +14,7 @@ from numba import njit
 from triform.control import SENSING_RANGE, Teacher, expert_into
 from triform.dataset.neighbours import neighbours_into
 from triform.perception import occupied_into
+from triform.simulation import linked
 from triform.simulation.lidar import cast_world
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, require
@@ -89,7 +90,7 @@ class FreshBatch:
 
 
 @njit(cache=True, nogil=True)
-def _place(rng, side, min_spacing, poses, stack, seen):  # type: ignore[no-untyped-def]
+def _place(rng, side, min_spacing, poses):  # type: ignore[no-untyped-def]
     """Draw uniform poses until no two are too close and all hang together within the sensing range."""
     robots = poses.shape[0]
     while True:
@@ -104,23 +105,7 @@ def _place(rng, side, min_spacing, poses, stack, seen):  # type: ignore[no-untyp
                     break
             if not fits:
                 break
-        if not fits:
-            continue
-        seen[:] = False
-        seen[0] = True
-        stack[0] = 0
-        top, reached = 1, 0
-        while top > 0:
-            top -= 1
-            i = stack[top]
-            reached += 1
-            for j in range(robots):
-                gap = (poses[i, 0] - poses[j, 0]) ** 2 + (poses[i, 1] - poses[j, 1]) ** 2
-                if not seen[j] and gap <= SENSING_RANGE**2:
-                    seen[j] = True
-                    stack[top] = j
-                    top += 1
-        if reached == robots:
+        if fits and linked(poses, SENSING_RANGE):
             return
 
 
@@ -173,15 +158,13 @@ def _draw_records(  # type: ignore[no-untyped-def]
     twists = np.empty((robots, 3))
     active = np.ones(robots, dtype=np.bool_)
     graph = np.empty((robots, robots), dtype=np.bool_)
-    stack = np.empty(robots, dtype=np.int64)
-    seen = np.empty(robots, dtype=np.bool_)
     ranges = np.empty((robots, rays))
     scratch = np.empty((2, size * size), dtype=np.int32)
     cells = np.empty(size * size, dtype=np.int32)
     walls = np.empty((0, 4))
     pillars = np.empty((0, 3))
     for e in range(records):
-        _place(rng, side, min_spacing, poses, stack, seen)
+        _place(rng, side, min_spacing, poses)
         kind = rng.random()
         duration, jitter = 0.0, 0.0
         if kind < moved:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from triform.simulation._spawn_kernels import linked
 from triform.simulation.arena import ARENAS, Arena, get_arena
 from triform.simulation.kinematics import (
     advance_pose,
@@ -52,6 +53,7 @@ __all__ = [
     "get_profile",
     "integrate",
     "limit_twists",
+    "linked",
     "load_starts",
     "noise_sigma",
     "sample_addition",
