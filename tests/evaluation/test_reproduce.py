@@ -15,6 +15,7 @@ from PIL import Image
 from triform.cli import COMMANDS
 from triform.evaluation import reproduce as module
 from triform.evaluation.demo import DemoConfig, run_demo
+from triform.evaluation.evaluate import EvaluateConfig, evaluate
 from triform.evaluation.page import Section, read_sections, write_pages
 from triform.evaluation.reproduce import KEYS, ReproduceConfig, reproduce
 from triform.types import ConfigurationError, TriformError
@@ -193,3 +194,14 @@ def test_demo_prints_measures_and_the_paths_it_wrote(tmp_path, console):
     with Image.open(paths[1]) as image:
         assert image.n_frames > 5
     assert json.loads(paths[2].read_text())["results"][0]["robots"] == 4
+
+
+def test_demo_shows_any_run_of_an_evaluation(tmp_path, console):
+    scenario = {"controller": "expert-sensed", "duration": 6.0}
+    evaluated = evaluate(EvaluateConfig(robots=(5,), runs=3, seed=4, **scenario))
+    config = DemoConfig(robots=5, seed=4, index=2, output=tmp_path, **scenario)
+    run_demo(config, console)
+    shown = json.loads((tmp_path / "demo.json").read_text())["results"][0]
+    assert shown["formation_error_median"] == evaluated.runs["formation_error"][2]
+    with pytest.raises(ConfigurationError, match="index"):
+        DemoConfig(index=-1)

@@ -26,18 +26,21 @@ class DemoConfig(Scenario):
 
     Attributes:
         robots: Number of robots.
-        seed: The start is a function of team size and seed alone.
+        seed: The start is a function of team size, seed and index alone.
+        index: Which start: run ``index`` of an evaluation with the same team size and seed.
         output: Folder for the picture, the animation and the measures.
     """
 
     robots: int = 9
     seed: int = 7
+    index: int = 0
     output: Path = Path("demo")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.robots >= 1, f"robots is {self.robots}; a team has at least 1 robot")
         require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        require(self.index >= 0, f"index is {self.index}; it must not be negative")
 
 
 def run_demo(config: DemoConfig, console: Console) -> list[Path]:
@@ -56,8 +59,8 @@ def run_demo(config: DemoConfig, console: Console) -> list[Path]:
     prepare_folder(config.output)
     controller = config.make_controller()
     began = time.perf_counter()
-    poses = starts(config.robots, 1, config.seed)
-    seeds = world_seeds(config.robots, config.seed, [0])
+    poses = starts(config.robots, 1, config.seed, first=config.index)
+    seeds = world_seeds(config.robots, config.seed, [config.index])
     with progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps) as advance:
         trajectory, world = config.run(poses, seeds, controller, advance)
     table = config.measure(trajectory, world)
