@@ -101,17 +101,20 @@ def test_collect_train_export_evaluate(tmp_path: Path) -> None:
     assert main(evaluate) == 0
 
 
-def test_an_interrupted_training_says_so_and_resumes(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "triform.cli", "train", "--out", str(tmp_path), "--maps", "400000"]
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_training_says_so_and_resumes(tmp_path: Path, stop: signal.Signals) -> None:
+    command = [sys.executable, "-m", "triform.cli", "train", "--out", str(tmp_path), "--maps", "20000"]
     child = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     while not (tmp_path / "log.jsonl").exists():
         assert child.poll() is None
         time.sleep(0.05)
-    child.send_signal(signal.SIGINT)
+    child.send_signal(stop)
     _, errors = child.communicate()
     assert child.returncode == 130
     assert "interrupted" in errors
     assert "Traceback" not in errors
+    assert (tmp_path / "state.safetensors").exists()
+    assert main([*command[3:], "--resume"]) == 0
 
 
 def test_a_missing_extra_is_named(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from triform.training.batches import FreshSource, Prefetched, StoredSource, Trai
 from triform.training.logs import TrainingLog
 from triform.training.presets import TrainConfig
 from triform.training.state import load_state, read_progress, save_state
+from triform.training.stopping import stop_requests
 from triform.types import TriformError
 
 STATE_FILE = "state.safetensors"
@@ -169,6 +170,7 @@ def train(
 
     Raises:
         TriformError: If a folder, the data or the device do not fit, or the loss stops being finite.
+        KeyboardInterrupt: After Ctrl-C or SIGTERM, once the step under way is done and saved.
     """
     target = usable_device(device)
     source = open_source(config, data)
@@ -201,7 +203,11 @@ def _train(
     checks = source.validation()
     began, maps_before, saved = time.monotonic(), record["maps"], time.monotonic()
 
-    with Prefetched(source.batches(record["step"])) as batches, TrainingLog(out, record["step"]) as log:
+    with (
+        stop_requests() as stopping,
+        Prefetched(source.batches(record["step"])) as batches,
+        TrainingLog(out, record["step"]) as log,
+    ):
         for step in range(record["step"], steps):
             batch = next(batches)
             for group in optimizer.param_groups:
@@ -228,7 +234,9 @@ def _train(
                 if scores["error_mean"] < record["best"]:
                     record["best"] = scores["error_mean"]
                     save_policy(out / "best", learner.policy, spec)
-            if time.monotonic() - saved > save_seconds or done == steps:
+            if stopping() or time.monotonic() - saved > save_seconds or done == steps:
                 save_state(state_path, learner, optimizer, {**record, "step": done})
                 saved = time.monotonic()
+            if stopping():
+                raise KeyboardInterrupt
     return out / "best"
