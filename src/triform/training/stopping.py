@@ -24,7 +24,7 @@ def stop_requests() -> Iterator[Callable[[], bool]]:
 
     def remember(number: int, _frame: object) -> None:
         requested.set()
-        signal.signal(number, before[number])
+        signal.signal(number, before[signal.Signals(number)])
 
     for number in _SIGNALS:
         signal.signal(number, remember)
