@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import warnings
 from pathlib import Path
 
@@ -31,10 +32,11 @@ class TrainingLog:
         return self
 
     def write(self, step: int, scalars: dict[str, float]) -> None:
-        """Record scalars at a step."""
+        """Record scalars at a step; what is not a number becomes ``null``."""
+        finite = {name: value if math.isfinite(value) else None for name, value in scalars.items()}
         try:
             with self._path.open("a") as file:
-                file.write(json.dumps({"step": step, **scalars}) + "\n")
+                file.write(json.dumps({"step": step, **finite}) + "\n")
         except OSError as error:
             raise cannot_write(self._path, error) from error
         for name, value in scalars.items():

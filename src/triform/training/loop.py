@@ -199,7 +199,7 @@ def _train(
         record = read_progress(state_path)
     spec = PolicySpec(config.network, config.scan, config.map, config.distance, config.record())
     steps = source.steps
-    validate_every = max(1, steps // 50)
+    validate_every, log_every = max(1, steps // 50), max(1, steps // 1000)
     checks = source.validation()
     began, maps_before, saved = time.monotonic(), record["maps"], time.monotonic()
 
@@ -227,9 +227,13 @@ def _train(
             done = step + 1
             rate = (record["maps"] - maps_before) / max(time.monotonic() - began, 1e-9)
             report(Progress(done, steps, record["maps"], rate, record["loss"]))
+            if done % log_every == 0:
+                log.write(done, {"maps": record["maps"], "loss": record["loss"], "maps_per_second": rate})
             if done % validate_every == 0 or done == steps:
                 scores = validate(learner, checks, target)
-                log.write(done, {"maps": record["maps"], "loss": record["loss"], "maps_per_second": rate, **scores})
+                if not math.isfinite(scores["error_mean"]):
+                    raise TriformError(f"training diverged at step {done}: the network's commands are not finite")
+                log.write(done, {"maps": record["maps"], **scores})
                 save_policy(out / "last", learner.policy, spec)
                 if scores["error_mean"] < record["best"]:
                     record["best"] = scores["error_mean"]

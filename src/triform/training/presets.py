@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -58,7 +59,10 @@ class TrainConfig:
     def __post_init__(self) -> None:
         require(self.maps is None or self.maps >= 1, f"maps is {self.maps}; it must be at least 1")
         require(self.batch_maps >= 1, f"batch_maps is {self.batch_maps}; it must be at least 1")
-        require(self.learning_rate > 0, f"learning_rate is {self.learning_rate}; it must be positive")
+        require(
+            0 < self.learning_rate < math.inf,
+            f"learning_rate is {self.learning_rate}; it must be positive and finite",
+        )
         require(self.warmup >= 0, f"warmup is {self.warmup}; it must not be negative")
         require(self.clip >= 0, f"clip is {self.clip}; it must not be negative")
         require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
