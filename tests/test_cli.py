@@ -66,12 +66,22 @@ def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: 
         (["train", "--out", "run", "--data", "missing"], "missing"),
         (["train", "--out", "run", "--maps", "0"], "maps is 0"),
         (["train", "--out", "run", "--device", "abacus"], "abacus"),
+        (["train", "--out", "run", "--device", "meta"], "cpu or cuda"),
+        (["train", "--out", "run", "--learning-rate", "inf"], "learning_rate"),
+        (["train", "--out", "file/run", "--maps", "500"], "cannot write"),
+        (["collect", "--out", "file/data"], "cannot write"),
+        (["evaluate", "--robots", "3", "--json", "file/out.json"], "cannot write"),
+        (["dynamic", "--json", "file/out.json"], "cannot write"),
+        (["reproduce", "--output", "file/results"], "cannot write"),
+        (["demo", "--output", "file/demo"], "cannot write"),
+        (["evaluate", "--weights", "file"], "is a file"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_sentence(
     arguments: list[str], says: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
     assert main(arguments) == 1
     shown = capsys.readouterr().err
     assert shown.startswith("triform: ")
@@ -132,3 +142,41 @@ def test_a_missing_extra_is_named(tmp_path: Path) -> None:
         [sys.executable, "-m", "triform.cli", *evaluate], env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_one_and_two_robots_have_defined_results(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    assert main(["evaluate", "--robots", "1", "2", "--runs", "2", "--duration", "10", "--json", str(out)]) == 0
+    alone, pair = json.loads(out.read_text())["results"]
+    assert alone["formation_error_median"] is None
+    assert alone["success"] == 0
+    assert pair["success"] == 1
+    assert pair["strict"] == 0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["collect", "--preset", "paper", "--out", "out"],
+        ["evaluate", "--runs", "1000", "--json", "out/out.json"],
+        ["dynamic", "--runs", "1000", "--json", "out/out.json"],
+        ["reproduce", "--output", "out"],
+        ["demo", "--duration", "100000", "--output", "out"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_ctrl_c_ends_every_long_command_in_one_sentence(arguments: list[str], tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "triform.cli", *arguments]
+    child = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+    )
+    # Every command makes its output folder before it begins.
+    while not (tmp_path / "out").exists():
+        assert child.poll() is None, child.communicate()
+        time.sleep(0.05)
+    time.sleep(0.5)
+    child.send_signal(signal.SIGINT)
+    _, errors = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert errors.startswith("triform: interrupted")
+    assert "Traceback" not in errors

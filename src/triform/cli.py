@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"triform: {given[0]} needs {error.name}; install it with: pip install 'triform[{extra}]'\n")
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write("triform: interrupted; what was finished is kept\n")
+        sys.stderr.write("triform: interrupted; what was finished is kept, and train goes on with --resume\n")
         return 130
     return 0
 

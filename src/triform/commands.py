@@ -54,7 +54,11 @@ class Collect:
                 lambda done, total: bar.update(task, completed=done, total=total, rate=bar.tasks[0].speed or 0.0),
             )
         size = sum(shard.bytes for shard in manifest.shards) / 1e6
-        console.print(f"{config.maps:,} maps in {len(manifest.shards)} shards, {size:,.1f} MB, in {self.out}")
+        console.print(
+            f"{config.maps:,} maps in {len(manifest.shards)} shards, {size:,.1f} MB, in {self.out}",
+            soft_wrap=True,
+            markup=False,
+        )
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,11 @@ class Train:
                     description=f"training, loss {at.loss:.4f}",
                 ),
             )
-        console.print(f"best policy: {best}; use it with --weights {best} after: triform export {best}")
+        console.print(
+            f"best policy: {best}; to use it:\ntriform export {best}\ntriform evaluate --weights {best}",
+            soft_wrap=True,
+            markup=False,
+        )
 
 
 @dataclass(frozen=True)
@@ -135,7 +143,7 @@ class Export:
         """Export and say where to."""
         from triform.policy.export import export_policy
 
-        console.print(f"wrote {export_policy(self.folder)}", soft_wrap=True)
+        console.print(f"wrote {export_policy(self.folder)}", soft_wrap=True, markup=False)
 
 
 def _progress(console: Console, unit: str) -> Progress:

@@ -102,4 +102,6 @@ def exclusive(folder: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise TriformError(f"another process is writing into {folder}; wait for it or stop it") from error
+        except OSError as error:
+            raise TriformError(f"cannot lock {folder}: {error.strerror or error}") from error
         yield

@@ -118,6 +118,10 @@ class Scan:
     config: ScanConfig
 
     def __post_init__(self) -> None:
+        if not isinstance(self.ranges, np.ndarray):
+            raise ConfigurationError(f"the ranges of a scan are a {type(self.ranges).__name__}; an array is needed")
+        if not np.issubdtype(self.ranges.dtype, np.floating):
+            raise ConfigurationError(f"the ranges of a scan are of type {self.ranges.dtype}; floating point is needed")
         if self.ranges.ndim < 1 or self.ranges.shape[-1] != self.config.rays:
             raise ConfigurationError(
                 f"a scan has ranges of shape {self.ranges.shape}; "
@@ -138,6 +142,13 @@ class View:
     scans: Scan
     active: BoolArray
     time: float
+
+    def __post_init__(self) -> None:
+        if self.active.ndim != 2 or self.scans.ranges.shape[:-1] != self.active.shape:
+            raise ConfigurationError(
+                f"a view has ranges of shape {self.scans.ranges.shape} and active of shape {self.active.shape}; "
+                "(B, N, R) and (B, N) are needed"
+            )
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ def test_weights_are_shipped() -> None:
             "model.safetensors",
         }
         assert sum(file.stat().st_size for file in folder.iterdir()) <= 8e6
+        assert "triform train" in (folder / "README.md").read_text(encoding="utf-8")
 
 
 def test_every_robot_is_driven_by_its_own_scan_alone(policy: LearnedPolicy) -> None:
@@ -48,6 +49,38 @@ def test_algorithm_2_is_scan_map_network(policy: LearnedPolicy) -> None:
     maps = occupancy_maps(view.scans, MapConfig())[0]
     runtime = PolicyRuntime(shipped_weights()["default"], threads=1)
     np.testing.assert_allclose(LearnedPolicy(runtime).command(view)[0], runtime.commands(pack(maps, 10)), atol=1e-6)
+
+
+def test_ranges_of_any_value_give_a_defined_command(policy: LearnedPolicy) -> None:
+    """What is no range in (0, range_max] counts as no return."""
+    view = World(starts(5, 1, seed=4), get_profile("ideal")).observe()
+    ranges = view.scans.ranges.copy()
+    expected = policy.command(view)
+    nothing = ~np.isfinite(ranges)
+    for value in (np.nan, -np.inf, -1.0, 0.0, 2.5, np.inf):
+        spoilt = np.where(nothing, value, ranges)
+        commands = policy.command(View(Scan(spoilt, view.scans.config), view.active, 0.0))
+        np.testing.assert_array_equal(commands, expected)
+    blind = policy.command(View(Scan(np.full_like(ranges, np.nan), view.scans.config), view.active, 0.0))
+    assert np.isfinite(blind).all()
+    np.testing.assert_array_equal(blind[0], np.broadcast_to(blind[0, 0], (5, 3)))
+
+
+@pytest.mark.parametrize(
+    ("ranges", "says"),
+    [
+        (np.zeros((1, 1, 449)), "450 rays"),
+        (np.zeros((1, 1, 451)), "450 rays"),
+        (np.zeros(450), r"\(B, N, R\)"),
+        (np.zeros((1, 2, 450)), r"\(B, N, R\)"),
+        (np.array([[[1.0] * 450]], dtype=object), "floating point"),
+        (np.zeros((1, 1, 450), dtype=np.int64), "floating point"),
+        ([[[1.0] * 450]], "an array is needed"),
+    ],
+)
+def test_scans_of_another_form_are_refused(ranges: np.ndarray, says: str) -> None:
+    with pytest.raises(ConfigurationError, match=says):
+        View(Scan(ranges, ScanConfig()), np.ones((1, 1), dtype=bool), 0.0)
 
 
 def test_inactive_robots_get_zero_and_a_lone_robot_stands_still(policy: LearnedPolicy) -> None:

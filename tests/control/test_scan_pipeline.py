@@ -121,12 +121,6 @@ def test_impossible_settings_are_refused(bad):
         ScanPipeline(**bad)
 
 
-def test_scans_that_do_not_fit_the_robots_are_refused():
-    view = View(Scan(np.full((2, 3, 450), np.inf), CONFIG), np.ones((2, 4), bool), 0.0)
-    with pytest.raises(ConfigurationError, match=r"\(B, N, R\)"):
-        ScanPipeline().command(view)
-
-
 @pytest.mark.parametrize(("robots", "limit"), [(5, 0.002), (9, 0.01)])
 def test_formations_close_in_from_scans_alone(robots, limit):
     profile = get_profile("ideal")

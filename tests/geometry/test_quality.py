@@ -133,3 +133,15 @@ def test_edge_error_is_that_of_assess_and_of_the_definition() -> None:
 def test_bad_distance_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="distance"):
         assess(HEXAGON, distance=0.0)
+
+
+def test_no_robots_at_all_and_no_worlds() -> None:
+    assert assess(np.zeros((3, 0, 2))).edges.tolist() == [0, 0, 0]
+    assert not assess(np.zeros((0, 2))).connected
+    assert assess(np.zeros((0, 4, 2))).edge_error.shape == (0,)
+    assert gabriel_graph(np.zeros((2, 0, 2))).shape == (2, 0, 0)
+
+
+def test_bad_range_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="max_range"):
+        edge_error(HEXAGON, max_range=-1.0)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from triform.files import sha256
 from triform.policy import NetworkConfig, PackedMaps, PolicyRuntime, PolicySpec, pack, read_spec
 from triform.policy.export import export_policy
 from triform.policy.vit import VisionTransformer, token_batch
@@ -50,7 +51,7 @@ def some_maps(count: int) -> np.ndarray:
 
 def test_a_policy_comes_back_as_it_was_saved(exported: Path) -> None:
     network, spec = load_policy(exported)
-    assert spec == replace(SPEC, weights_sha256=spec.weights_sha256)
+    assert spec == replace(SPEC, weights_sha256=spec.weights_sha256, onnx_sha256=spec.onnx_sha256)
     assert len(spec.weights_sha256) == 64
     torch.manual_seed(0)
     fresh = VisionTransformer(SPEC.network)
@@ -108,16 +109,25 @@ def test_a_foreign_or_damaged_folder_is_refused(exported: Path, tmp_path: Path) 
     for damaged in (bytes(flipped[:-100]), bytes(flipped)):
         (truncated / "model.safetensors").write_bytes(damaged)
         for load in (load_policy, PolicyRuntime):
-            with pytest.raises(TriformError, match="damaged or belong to another"):
+            with pytest.raises(TriformError, match="damaged or belongs to another"):
                 load(truncated)
     (truncated / "model.safetensors").unlink()
     with pytest.raises(TriformError, match="cannot read the weights"):
         load_policy(truncated)
 
+    graph = bytearray((exported / "model.onnx").read_bytes())
+    graph[len(graph) // 2] ^= 1
+    flipped_graph = copy(exported, tmp_path / "graph")
+    (flipped_graph / "model.onnx").write_bytes(bytes(graph))
+    with pytest.raises(TriformError, match=r"graph .* is damaged"):
+        PolicyRuntime(flipped_graph)
+
     foreign = copy(exported, tmp_path / "foreign")
     (foreign / "model.json").write_text((foreign / "model.json").read_text().replace('"patch": 5', '"patch": 4'))
     with pytest.raises(TriformError, match="patches of 25 cells"):
         PolicyRuntime(foreign)
+    nonsense = json.loads((exported / "model.json").read_text()) | {"onnx_sha256": sha256(b"nonsense")}
+    (foreign / "model.json").write_text(json.dumps(nonsense))
     (foreign / "model.onnx").write_bytes(b"nonsense")
     with pytest.raises(TriformError, match="cannot load the policy"):
         PolicyRuntime(foreign)
@@ -128,6 +138,20 @@ def test_a_foreign_or_damaged_folder_is_refused(exported: Path, tmp_path: Path) 
         PolicyRuntime(bare)
     with pytest.raises(ConfigurationError, match="threads"):
         PolicyRuntime(exported, threads=0)
+
+
+def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
+    pickled = tmp_path / "policy.pt"
+    torch.save(VisionTransformer(SPEC.network).state_dict(), pickled)
+    for load in (load_policy, PolicyRuntime, export_policy):
+        with pytest.raises(TriformError, match="pickled checkpoints are never loaded"):
+            load(pickled)
+    folder = tmp_path / "policy"
+    folder.mkdir()
+    (folder / "model.safetensors").write_bytes(pickled.read_bytes())
+    (folder / "model.json").write_text(replace(SPEC, weights_sha256=sha256(pickled.read_bytes())).to_json())
+    with pytest.raises(TriformError, match="do not fit"):
+        load_policy(folder)
 
 
 def test_a_failed_write_leaves_the_old_policy(exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,6 +117,14 @@ def test_algorithm_1_is_one_epoch_of_16_records(data: Path) -> None:
     assert set(batches[0].packed.counts) == {100}
 
 
+def test_another_teacher_labels_stored_states_anew(data: Path) -> None:
+    stored, anew = (
+        next(StoredSource(replace(TINY, teacher=name), data).batches(0)) for name in ("expert", "expert-odd")
+    )
+    np.testing.assert_array_equal(stored.packed.patches, anew.packed.patches)
+    assert not np.allclose(stored.commands, anew.commands)
+
+
 def test_one_batch_can_be_learned_by_heart() -> None:
     config = replace(TINY, network=NetworkConfig(dim=32, depth=2, heads=4, mlp=64), batch_maps=24)
     batch = next(FreshSource(config).batches(0))
@@ -176,8 +184,8 @@ def test_wrong_use_is_refused_and_loses_nothing(tmp_path: Path, data: Path) -> N
     assert (tmp_path / "run" / "state.safetensors").read_bytes() == before
     with pytest.raises(TriformError, match="--data"):
         train(get_preset("paper"), tmp_path / "paper")
-    with pytest.raises(TriformError, match="teacher"):
-        train(replace(TINY, teacher="expert-sensed"), tmp_path / "teacher", data=data)
+    with pytest.raises(TriformError, match="distance"):
+        train(replace(TINY, distance=0.8), tmp_path / "distance", data=data)
     (tmp_path / "run" / "state.safetensors").write_bytes(b"nonsense")
     with pytest.raises(TriformError, match="cannot resume"):
         train(TINY, tmp_path / "run", resume=True)
@@ -185,6 +193,21 @@ def test_wrong_use_is_refused_and_loses_nothing(tmp_path: Path, data: Path) -> N
         get_preset("nothing")
     with pytest.raises(ConfigurationError, match="learning_rate"):
         replace(TINY, learning_rate=0.0)
+
+
+def test_weights_that_are_not_finite_are_never_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    losses = Learner.losses
+
+    def poisoned(self: Learner, batch: object, config: TrainConfig, device: torch.device) -> tuple:
+        command, total = losses(self, batch, config, device)
+        return command, total * (float("nan") if len(list((tmp_path / "run").glob("state*"))) else 1.0)
+
+    monkeypatch.setattr(Learner, "losses", poisoned)
+    with pytest.raises(TriformError, match="diverged at step 2"):
+        train(TINY, tmp_path / "run", save_seconds=0.0)
+    monkeypatch.undo()
+    assert all(tensor.isfinite().all() for tensor in tensors(tmp_path / "run").values())
+    train(TINY, tmp_path / "run", resume=True)
 
 
 def test_divergence_stops_the_training(tmp_path: Path) -> None:

@@ -139,7 +139,8 @@ class Expert:
             ("sensing_range", sensing_range),
         ):
             require(value > 0, f"{name} is {value}; it must be positive")
-        require(odd_gain >= 0, f"odd_gain is {odd_gain}; it must not be negative")
+        for name, value in (("distance", distance), ("gain", gain), ("odd_gain", odd_gain)):
+            require(0 <= value < np.inf, f"{name} is {value}; it must be finite and not negative")
         self.distance = distance
         self.gain = gain
         self.max_speed = max_speed
@@ -173,10 +174,12 @@ class Expert:
         """Return body twists (B, N, 3) from true poses.
 
         Raises:
-            TriformError: If the view carries no poses.
+            TriformError: If the view carries no poses, or poses that are not finite.
         """
         if not isinstance(view, PrivilegedView):
             raise TriformError("the expert needs true poses, and this team cannot offer them")
+        if not np.isfinite(view.poses[view.active]).all():
+            raise TriformError("the expert needs finite poses of all active robots")
         out = np.empty_like(view.poses)
         with threads_for(view.active.size * view.active.shape[1], PAIRS_PER_THREAD):
             _expert_worlds(

@@ -31,7 +31,7 @@ def weights_folder(weights: str | None) -> Path:
     shipped = shipped_weights()
     name = weights or DEFAULT_WEIGHTS
     folder = shipped.get(name, Path(name))
-    if not folder.is_dir():
+    if not folder.exists():
         raise ConfigurationError(f"there is no policy {name!r}: it is neither a folder nor one of {', '.join(shipped)}")
     return folder
 

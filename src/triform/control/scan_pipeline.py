@@ -102,17 +102,8 @@ class ScanPipeline:
         }
 
     def command(self, view: View) -> FloatArray:
-        """Return body twists, shape (B, N, 3).
-
-        Raises:
-            ConfigurationError: If the scans are not one for each of the (B, N) robots.
-        """
+        """Return body twists, shape (B, N, 3)."""
         scan = view.scans
-        require(
-            view.active.ndim == 2 and scan.ranges.shape[:-1] == view.active.shape,
-            f"scans of shape {scan.ranges.shape} and active of shape {view.active.shape} given; "
-            "(B, N, R) and (B, N) are needed",
-        )
         ranges = np.ascontiguousarray(scan.ranges, dtype=np.float64)
         out = np.empty((*view.active.shape, 3))
         _command_worlds(

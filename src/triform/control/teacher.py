@@ -49,7 +49,8 @@ class Teacher:
 
     def label(self, poses: FloatArray) -> FloatArray:
         """Body twists (B, N, 3) for poses (B, N, 3); on one thread, with the interpreter's lock released."""
-        out = np.empty_like(poses)
+        given = np.ascontiguousarray(poses, dtype=np.float64)
+        out = np.empty_like(given)
         variant = self.variant
-        _label(poses, self.distance, self.gain, variant.odd_gain, self.max_speed, variant.sensing_range, out)
+        _label(given, self.distance, self.gain, variant.odd_gain, self.max_speed, variant.sensing_range, out)
         return out

@@ -17,7 +17,10 @@ from triform.perception import occupied_into
 from triform.simulation import linked
 from triform.simulation.lidar import cast_world
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
-from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, require
+from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, TriformError, require
+
+#: Placements drawn before giving up.
+_ATTEMPTS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -91,9 +94,9 @@ class FreshBatch:
 
 @njit(cache=True, nogil=True)
 def _place(rng, side, min_spacing, poses):  # type: ignore[no-untyped-def]
-    """Draw uniform poses until no two are too close and all hang together within the sensing range."""
+    """Draw uniform poses until no two are too close and all hang together within the sensing range, if they ever do."""
     robots = poses.shape[0]
-    while True:
+    for _ in range(_ATTEMPTS):
         fits = True
         for i in range(robots):
             poses[i, 0] = rng.random() * side
@@ -106,7 +109,8 @@ def _place(rng, side, min_spacing, poses):  # type: ignore[no-untyped-def]
             if not fits:
                 break
         if fits and linked(poses, SENSING_RANGE):
-            return
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)
@@ -164,7 +168,8 @@ def _draw_records(  # type: ignore[no-untyped-def]
     walls = np.empty((0, 4))
     pillars = np.empty((0, 3))
     for e in range(records):
-        _place(rng, side, min_spacing, poses)
+        if not _place(rng, side, min_spacing, poses):
+            return False
         kind = rng.random()
         duration, jitter = 0.0, 0.0
         if kind < moved:
@@ -201,6 +206,7 @@ def _draw_records(  # type: ignore[no-untyped-def]
             for q in range(kept):
                 maps[e, i, cells[q] // size, cells[q] % size] = 1
         neighbours_into(poses, graph, neighbours[e])
+    return True
 
 
 def draw_fresh(
@@ -222,6 +228,9 @@ def draw_fresh(
         scan: The LiDAR.
         map_config: The occupancy map.
         footprint: Shape of every robot.
+
+    Raises:
+        TriformError: If no placement of the robots turns up in the square.
     """
     robots = int(rng.choice(np.array(states.robots)))
     records = max(1, round(maps / robots))
@@ -230,7 +239,7 @@ def draw_fresh(
     commands = np.empty((records, robots, 3))
     neighbours = np.empty((records, robots, robots - 1, 3))
     angles = scan.angles
-    _draw_records(
+    placed = _draw_records(
         rng,
         states.side,
         states.min_spacing,
@@ -261,6 +270,11 @@ def draw_fresh(
         commands,
         neighbours,
     )
+    if not placed:
+        raise TriformError(
+            f"no placement of {robots} robots at least {states.min_spacing} m apart and linked within "
+            f"{SENSING_RANGE} m turned up in a square of {states.side} m"
+        )
     return FreshBatch(
         batch_maps.reshape(-1, size, size),
         commands.reshape(-1, 3),

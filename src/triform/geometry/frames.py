@@ -29,4 +29,6 @@ def world_to_body(vectors: FloatArray, heading: FloatArray | float) -> FloatArra
 
 def wrap_angle(angle: FloatArray | float) -> FloatArray:
     """Wrap angles [rad] into [-pi, pi)."""
-    return np.asarray((np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi, dtype=np.float64)
+    wrapped = np.asarray((np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi, dtype=np.float64)
+    # Just below -pi the remainder rounds up to a whole turn.
+    return np.where(wrapped >= np.pi, -np.pi, wrapped)

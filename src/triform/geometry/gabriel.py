@@ -10,6 +10,8 @@ edges; a robot that coincides with i or j blocks nothing; coincident robots are 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit, prange
 
@@ -76,23 +78,24 @@ def gabriel_graph(positions: FloatArray, max_range: float = np.inf, active: Bool
     Raises:
         ConfigurationError: If the shapes do not fit, a position is not finite or ``max_range`` is negative.
     """
-    points, mask = checked_points(positions, active)
-    if not max_range >= 0:
-        raise ConfigurationError(f"max_range is {max_range} m; it must not be negative")
+    points, mask = checked_points(positions, active, max_range)
     robots = points.shape[-2]
     out = np.empty((*points.shape[:-2], robots, robots), dtype=np.bool_)
-    worlds = points.reshape(-1, robots, 2)
+    worlds = points.reshape(math.prod(points.shape[:-2]), robots, 2)
     with threads_for(len(worlds) * robots**2, PAIRS_PER_THREAD):
-        _gabriel_worlds(worlds, mask.reshape(-1, robots), max_range, out.reshape(-1, robots, robots))
+        _gabriel_worlds(worlds, mask.reshape(len(worlds), robots), max_range, out.reshape(len(worlds), robots, robots))
     return out
 
 
-def checked_points(positions: FloatArray, active: BoolArray | None) -> tuple[FloatArray, BoolArray]:
+def checked_points(positions: FloatArray, active: BoolArray | None, max_range: float) -> tuple[FloatArray, BoolArray]:
     """Return contiguous positions (..., N, 2) and a mask (..., N), or say what is wrong with them.
 
     Raises:
-        ConfigurationError: If the shapes do not fit or the position of an active robot is not finite.
+        ConfigurationError: If the shapes do not fit, the position of an active robot is not finite or ``max_range``
+            is negative.
     """
+    if not max_range >= 0:
+        raise ConfigurationError(f"max_range is {max_range} m; it must not be negative")
     points = np.ascontiguousarray(positions, dtype=np.float64)
     if points.ndim < 2 or points.shape[-1] != 2:
         raise ConfigurationError(f"positions have shape {points.shape}; (..., N, 2) is needed")

@@ -157,7 +157,7 @@ def assess(
         ConfigurationError: If the positions are malformed or ``distance`` is not positive.
     """
     require(distance > 0, f"distance is {distance} m; it must be positive")
-    points, mask = checked_points(positions, active)
+    points, mask = checked_points(positions, active, max_range)
     lead = points.shape[:-2]
     robots = points.shape[-2]
     error = np.empty(lead)
@@ -167,8 +167,8 @@ def assess(
     compactness = np.empty(lead)
     with threads_for(error.size * robots**2, PAIRS_PER_THREAD):
         _assess_worlds(
-            points.reshape(-1, robots, 2),
-            mask.reshape(-1, robots),
+            points.reshape(error.size, robots, 2),
+            mask.reshape(error.size, robots),
             distance,
             max_range,
             error.reshape(-1),
@@ -188,11 +188,11 @@ def edge_error(
 ) -> FloatArray:
     """Mean relative edge error ``E_g / d*`` alone, for long series; arguments and errors as ``assess``."""
     require(distance > 0, f"distance is {distance} m; it must be positive")
-    points, mask = checked_points(positions, active)
+    points, mask = checked_points(positions, active, max_range)
     robots = points.shape[-2]
     out = np.empty(points.shape[:-2])
     with threads_for(out.size * robots**2, PAIRS_PER_THREAD):
         _edge_error_worlds(
-            points.reshape(-1, robots, 2), mask.reshape(-1, robots), distance, max_range, out.reshape(-1)
+            points.reshape(out.size, robots, 2), mask.reshape(out.size, robots), distance, max_range, out.reshape(-1)
         )
     return out

@@ -33,6 +33,7 @@ class PolicySpec:
         distance: Prescribed neighbour distance d* of its training [m].
         training: How it was trained, for the record: preset, teacher, seed, maps.
         weights_sha256: Checksum of the weights that belong to this description.
+        onnx_sha256: Checksum of the exported graph; empty before the export.
     """
 
     network: NetworkConfig
@@ -41,6 +42,7 @@ class PolicySpec:
     distance: float = 1.0
     training: dict[str, Any] = field(default_factory=dict)
     weights_sha256: str = ""
+    onnx_sha256: str = ""
 
     def __post_init__(self) -> None:
         require(
@@ -105,6 +107,11 @@ def read_spec(folder: Path) -> PolicySpec:
     Raises:
         TriformError: If there is none or it cannot be read.
     """
+    if folder.is_file():
+        raise TriformError(
+            f"{folder} is a file; a policy is a folder with {SPEC_FILE}, {WEIGHTS_FILE} and {ONNX_FILE} "
+            "(pickled checkpoints are never loaded)"
+        )
     path = folder / SPEC_FILE
     try:
         text = path.read_text(encoding="utf-8")
@@ -119,11 +126,27 @@ def read_weights(folder: Path, spec: PolicySpec) -> bytes:
     Raises:
         TriformError: If they cannot be read, or are not those that the description was written for.
     """
-    path = folder / WEIGHTS_FILE
+    return _read_checked(folder / WEIGHTS_FILE, spec.weights_sha256, "weights")
+
+
+def check_graph(folder: Path, spec: PolicySpec) -> Path:
+    """Path of the exported graph of the policy in ``folder``, checked against its description.
+
+    Raises:
+        TriformError: If there is none, or it is not the one that was exported with these weights.
+    """
+    path = folder / ONNX_FILE
+    if not path.exists() or not spec.onnx_sha256:
+        raise TriformError(f"{folder} holds no exported policy; make it with: triform export {folder}")
+    _read_checked(path, spec.onnx_sha256, "graph")
+    return path
+
+
+def _read_checked(path: Path, checksum: str, what: str) -> bytes:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise TriformError(f"cannot read the weights {path}: {error.strerror}") from error
-    if sha256(data) != spec.weights_sha256:
-        raise TriformError(f"the weights {path} are damaged or belong to another policy: their checksum differs")
+        raise TriformError(f"cannot read the {what} {path}: {error.strerror}") from error
+    if sha256(data) != checksum:
+        raise TriformError(f"the {what} {path} is damaged or belongs to another policy: its checksum differs")
     return data

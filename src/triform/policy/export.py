@@ -12,6 +12,7 @@ import json
 import logging
 import struct
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import onnx
@@ -19,8 +20,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from triform.files import write_atomically
-from triform.policy.checkpoint import ONNX_FILE, WEIGHTS_FILE
+from triform.files import sha256, write_atomically
+from triform.policy.checkpoint import ONNX_FILE, SPEC_FILE, WEIGHTS_FILE
 from triform.policy.vit import Block, VisionTransformer
 from triform.policy.weights import load_policy
 from triform.types import TriformError
@@ -78,8 +79,9 @@ def export_policy(folder: Path) -> Path:
     model = program.model_proto
     drop_debug_records(model)
     point_into_safetensors(model, folder / WEIGHTS_FILE, prefix="network.")
-    path = folder / ONNX_FILE
-    write_atomically(path, model.SerializeToString())
+    path, graph = folder / ONNX_FILE, model.SerializeToString()
+    write_atomically(path, graph)
+    write_atomically(folder / SPEC_FILE, replace(spec, onnx_sha256=sha256(graph)).to_json().encode())
     return path
 
 

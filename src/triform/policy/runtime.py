@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
-from triform.policy.checkpoint import ONNX_FILE, PolicySpec, read_spec, read_weights
+from triform.policy.checkpoint import PolicySpec, check_graph, read_spec, read_weights
 from triform.policy.packing import PackedMaps
 from triform.types import ConfigurationError, FloatArray, TriformError
 
@@ -33,16 +33,16 @@ class PolicyRuntime:
         self.folder = folder
         self.spec: PolicySpec = read_spec(folder)
         read_weights(folder, self.spec)
-        path = folder / ONNX_FILE
-        if not path.exists():
-            raise TriformError(f"{folder} holds no {ONNX_FILE}; make it with: triform export {folder}")
+        path = check_graph(folder, self.spec)
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
         if threads is not None:
             options.intra_op_num_threads = threads
             options.inter_op_num_threads = 1
         try:
-            self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            self._session = onnxruntime.InferenceSession(
+                str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0
+            )
         except Exception as error:
             raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
 

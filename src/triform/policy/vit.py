@@ -88,11 +88,15 @@ class Rows:
     def spread(self, x: Tensor, parts: int, heads: int) -> tuple[Tensor, ...]:
         """(K + M, parts * D) -> ``parts`` tensors of shape (M, heads, L, D / heads)."""
         padded = x.new_zeros(self.maps * self.length, x.shape[1]).index_copy(0, self.flat, x)
-        return padded.view(self.maps, self.length, parts, heads, -1).permute(2, 0, 3, 1, 4).unbind(0)
+        return (
+            padded.view(self.maps, self.length, parts, heads, x.shape[1] // (parts * heads))
+            .permute(2, 0, 3, 1, 4)
+            .unbind(0)
+        )
 
     def gather(self, x: Tensor) -> Tensor:
         """(M, heads, L, D / heads) -> (K + M, D)."""
-        return x.transpose(1, 2).reshape(self.maps * self.length, -1)[self.flat]
+        return x.transpose(1, 2).reshape(self.maps * self.length, x.shape[1] * x.shape[3])[self.flat]
 
 
 class VisionTransformer(nn.Module):

@@ -100,10 +100,14 @@ class StoredSource:
         self._config = config
         self.checksum: str | None = sha256((data / MANIFEST).read_bytes())
         collected = self._demonstrations.manifest.config
-        for name in ("scan", "map", "distance", "teacher"):
+        for name in ("scan", "map", "distance"):
             wanted, found = getattr(config, name), getattr(collected, name)
             if wanted != found:
                 raise TriformError(f"{data} was collected with {name} {found}; this training wants {wanted}")
+        #: Another teacher than that of the data set labels its states anew.
+        self._relabel: Teacher | None = None
+        if collected.teacher != config.teacher:
+            self._relabel = Teacher(config.teacher, config.distance, collected.gain, collected.max_speed)
         self._records = max(1, round(config.batch_maps / collected.robots))
         self._epoch = self._demonstrations.batch_count("train", self._records)
         if self._epoch == 0:
@@ -130,7 +134,10 @@ class StoredSource:
 
     def _read(self, records: Records) -> TrainBatch:
         around = neighbours(records.poses, expert_variant(self._config.teacher).sensing_range)
-        return _prepare(records.maps(), records.commands, around, self._config)
+        commands: NDArray[np.floating] = records.commands
+        if self._relabel is not None:
+            commands = self._relabel.label(records.poses).reshape(-1, 3)
+        return _prepare(records.maps(), commands, around, self._config)
 
 
 def open_source(config: TrainConfig, data: Path | None) -> FreshSource | StoredSource:

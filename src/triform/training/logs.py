@@ -24,9 +24,13 @@ class TrainingLog:
         self._path = out / LOG_FILE
         kept = []
         if step > 0 and self._path.exists():
-            kept = [line for line in self._path.read_text().splitlines() if _step_of(line) <= step]
+            lines = self._path.read_text(encoding="utf-8", errors="replace").splitlines()
+            kept = [line for line in lines if _step_of(line) <= step]
         write_atomically(self._path, "".join(line + "\n" for line in kept).encode())
-        self._writer = SummaryWriter(str(out / "tensorboard"), purge_step=step + 1)
+        try:
+            self._writer = SummaryWriter(str(out / "tensorboard"), purge_step=step + 1)
+        except OSError as error:
+            raise cannot_write(out / "tensorboard", error) from error
 
     def __enter__(self) -> TrainingLog:
         return self

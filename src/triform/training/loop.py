@@ -118,12 +118,13 @@ def validate(learner: Learner, batches: list[TrainBatch], device: torch.device) 
 def _check_same_run(out: Path, config: TrainConfig, data: str | None, resume: bool) -> None:
     """Refuse to overwrite another run or to continue one with other settings; record the settings."""
     path = out / CONFIG_FILE
-    settings = {**config.record(), "network": vars(config.network), "data_sha256": data}
+    parts = {name: vars(getattr(config, name)) for name in ("network", "scan", "map")}
+    settings = {**config.record(), **parts, "data_sha256": data}
     text = json.dumps(settings, indent=2, default=list) + "\n"
     if path.exists():
         if not resume:
             raise TriformError(f"{out} already holds a training run; continue it with --resume or give another --out")
-        if path.read_text(encoding="utf-8") != text:
+        if path.read_bytes() != text.encode():
             raise TriformError(f"{out} was trained with other settings or data (see {path}); resume with the same ones")
     elif resume:
         raise TriformError(f"{out} holds no training run to resume")
@@ -138,6 +139,8 @@ def usable_device(name: str) -> torch.device:
     """
     try:
         device = torch.device(name)
+        if device.type not in ("cpu", "cuda"):
+            raise RuntimeError("training runs on cpu or cuda")
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
         raise TriformError(f"PyTorch cannot use the device {name!r}: {str(error).splitlines()[0]}") from error
@@ -215,19 +218,21 @@ def _train(
             command, total = learner.losses(batch, config, target)
             optimizer.zero_grad()
             torch.autograd.backward(total)
-            if config.clip > 0:
-                nn.utils.clip_grad_norm_(learner.parameters(), config.clip)
+            norm = float(nn.utils.clip_grad_norm_(learner.parameters(), config.clip or math.inf))
+            loss = float(command.detach())
+            # Before the step, so that weights that are not finite are never kept.
+            if not math.isfinite(loss + norm):
+                raise TriformError(
+                    f"training diverged at step {step + 1}: the loss is {loss}, its gradient's norm {norm}"
+                )
             optimizer.step()
 
-            loss = float(command.detach())
-            if not math.isfinite(loss):
-                raise TriformError(f"training diverged at step {step + 1}: the loss is {loss}")
             record["loss"] = loss if step == 0 else 0.98 * record["loss"] + 0.02 * loss
             record["maps"] += len(batch.commands)
             done = step + 1
             rate = (record["maps"] - maps_before) / max(time.monotonic() - began, 1e-9)
             report(Progress(done, steps, record["maps"], rate, record["loss"]))
-            if done % log_every == 0:
+            if done % log_every == 0 or done == steps:
                 log.write(done, {"maps": record["maps"], "loss": record["loss"], "maps_per_second": rate})
             if done % validate_every == 0 or done == steps:
                 scores = validate(learner, checks, target)
@@ -238,9 +243,10 @@ def _train(
                 if scores["error_mean"] < record["best"]:
                     record["best"] = scores["error_mean"]
                     save_policy(out / "best", learner.policy, spec)
-            if stopping() or time.monotonic() - saved > save_seconds or done == steps:
+            stop = stopping() and done < steps
+            if stop or time.monotonic() - saved > save_seconds or done == steps:
                 save_state(state_path, learner, optimizer, {**record, "step": done})
                 saved = time.monotonic()
-            if stopping():
+            if stop:
                 raise KeyboardInterrupt
     return out / "best"

@@ -63,5 +63,7 @@ def load_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer) 
                 index, key = name.removeprefix(_OPTIMIZER).split(".", 1)
                 states.setdefault(int(index), {})[key] = tensor
         optimizer.load_state_dict({"state": states, "param_groups": optimizer.state_dict()["param_groups"]})
-    except (OSError, SafetensorError, RuntimeError, ValueError, KeyError) as error:
-        raise TriformError(f"cannot resume from {path}: it does not fit this network: {error}") from error
+    except (OSError, SafetensorError) as error:
+        raise TriformError(f"cannot resume from {path}: it is damaged or no training state: {error}") from error
+    except (RuntimeError, ValueError, KeyError) as error:
+        raise TriformError(f"cannot resume from {path}: it does not fit this network") from error
