@@ -42,6 +42,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     [
         (["evaluate", "--runs", "0"], "runs is 0"),
         (["evaluate", "--robots", "0"], "robots is 0"),
+        (["evaluate", "--duration", "4"], "duration is 4"),
         (["reproduce", "fig99"], "fig99"),
         (["train"], "--out"),
     ],

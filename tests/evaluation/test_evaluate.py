@@ -208,5 +208,5 @@ def test_a_run_too_short_to_be_measured_is_refused():
 
 def test_scenario_run_starts_where_it_is_told():
     poses = starts(3, 2, 1)
-    trajectory, _ = Scenario(controller="expert", duration=1.0).run(poses, world_seeds(3, 1, [0, 1]))
+    trajectory, _ = Scenario(controller="expert", duration=5.0).run(poses, world_seeds(3, 1, [0, 1]))
     np.testing.assert_allclose(trajectory.poses[:, 0], poses)

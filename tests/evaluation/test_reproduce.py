@@ -153,7 +153,7 @@ def test_the_page_says_which_change_is_shown(formed, tmp_path, console, monkeypa
         ({"seed": -1}, "seed is -1"),
         ({"duration": 25.0}, "duration is 25 s; all needs at least 26 s"),
         ({"what": "fig5", "duration": 21.0}, "duration is 21 s; fig5 needs at least 26 s"),
-        ({"what": "fig4", "duration": 4.0}, "duration is 4 s; fig4 needs at least 5 s, to measure a run"),
+        ({"what": "fig4", "duration": 4.0}, "duration is 4.0 s; a run is measured over its last 5 s"),
         ({"what": "fig4", "duration": 6.25}, "whole number of control periods of 0.1 s"),
         ({"what": "table1", "duration": 27.1}, "table1 also runs the profile 'hardware'"),
         ({"compare": ()}, "compare is empty"),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from triform.control import make_controller
-from triform.evaluation.metrics import RunTable, measure
+from triform.evaluation.metrics import WINDOW, RunTable, measure
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.rollout import Trajectory, control_steps, rollout
 from triform.simulation import Arena, Profile, World, get_arena, get_profile
@@ -44,7 +44,11 @@ class Scenario:
 
     def __post_init__(self) -> None:
         require(0 < self.distance < np.inf, f"distance is {self.distance} m; it must be positive and finite")
-        require(0 < self.duration < np.inf, f"duration is {self.duration} s; it must be positive and finite")
+        require(
+            WINDOW <= self.duration < np.inf,
+            f"duration is {self.duration} s; a run is measured over its last {WINDOW:g} s, so it must be finite and at "
+            "least that long",
+        )
         require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
 
     @property
