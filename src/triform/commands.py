@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -42,10 +42,9 @@ class Collect:
         """Collect, with progress."""
         from triform.dataset import PRESETS, collect
 
-        names = ("teacher", "seed", "runs", "steps", "placements")
-        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        given = _given(self, "teacher", "seed", "runs", "steps", "placements")
         config = replace(PRESETS[self.preset], **given)
-        with _progress(console, "maps/s") as bar:
+        with _progress(console) as bar:
             task = bar.add_task("collecting", total=config.maps, rate=0.0)
             manifest = collect(
                 self.out,
@@ -101,12 +100,11 @@ class Train:
         if self.threads < 1:
             raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
         torch.set_num_threads(self.threads)
-        names = ("maps", "teacher", "learning_rate", "seed")
-        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        given = _given(self, "maps", "teacher", "learning_rate", "seed")
         if self.data is not None and self.teacher is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(get_preset(self.preset), **given)
-        with _progress(console, "maps/s") as bar:
+        with _progress(console) as bar:
             task = bar.add_task("training", total=None, rate=0.0)
             best = train(
                 config,
@@ -146,13 +144,18 @@ class Export:
         console.print(f"wrote {export_policy(self.folder)}", soft_wrap=True, markup=False)
 
 
-def _progress(console: Console, unit: str) -> Progress:
+def _given(options: Collect | Train, *names: str) -> dict[str, Any]:
+    """The options among ``names`` that were given; the preset decides the others."""
+    return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+
+
+def _progress(console: Console) -> Progress:
     """A bar with the rate of the work and the time left."""
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[rate]:,.0f} " + unit),
+        TextColumn("{task.fields[rate]:,.0f} maps/s"),
         TimeRemainingColumn(elapsed_when_finished=True),
         console=console,
     )

@@ -24,6 +24,9 @@ IntArray = NDArray[np.int64]
 #: Occupancy maps: 1 where something is, 0 elsewhere; axis H grows with x (forward), axis W with y (left).
 MapArray = NDArray[np.uint8]
 
+#: Reach of the paper's LiDAR: how far one robot sees another [m].
+SENSING_RANGE = 2.0
+
 
 class TriformError(Exception):
     """Something the user gave or the machine did is wrong; the message says what in one sentence."""
@@ -53,7 +56,7 @@ class ScanConfig:
     rays: int = 450
     angle_min: float = -np.pi
     range_min: float = 0.02
-    range_max: float = 2.0
+    range_max: float = SENSING_RANGE
 
     def __post_init__(self) -> None:
         require(self.rays >= 1, f"rays is {self.rays}; at least 1 is needed")

@@ -1,6 +1,6 @@
 """Controllers behind one interface: expert, scan pipeline and learned policy."""
 
-from triform.control.expert import EXPERTS, SENSING_RANGE, Expert, ExpertVariant, expert_into, expert_variant
+from triform.control.expert import EXPERTS, Expert, ExpertVariant, expert_into, expert_variant
 from triform.control.learned import LearnedPolicy
 from triform.control.registry import CONTROLLERS, make_controller, shipped_weights, weights_folder
 from triform.control.scan_pipeline import ScanPipeline
@@ -9,7 +9,6 @@ from triform.control.teacher import Teacher
 __all__ = [
     "CONTROLLERS",
     "EXPERTS",
-    "SENSING_RANGE",
     "Expert",
     "ExpertVariant",
     "LearnedPolicy",

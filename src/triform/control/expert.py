@@ -11,10 +11,8 @@ from numba import njit, prange
 from triform.geometry import gabriel_into
 from triform.geometry.gabriel import PAIRS_PER_THREAD
 from triform.threads import threads_for
-from triform.types import ConfigurationError, FloatArray, PrivilegedView, TriformError, require
+from triform.types import SENSING_RANGE, ConfigurationError, FloatArray, PrivilegedView, TriformError, require
 
-#: Reach of the paper's LiDAR, to which ``expert-sensed`` is restricted [m].
-SENSING_RANGE = 2.0
 #: A RoboMaster EP whose centre is this far away still shows its near side to a LiDAR of 2 m [m].
 VISIBLE_RANGE = 2.12
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from triform.control import SENSING_RANGE, Teacher, expert_into
+from triform.control import Teacher, expert_into
 from triform.dataset.neighbours import neighbours_into
 from triform.perception import occupied_into
 from triform.simulation import linked
 from triform.simulation.lidar import cast_world
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
-from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, TriformError, require
+from triform.types import SENSING_RANGE, FloatArray, MapArray, MapConfig, ScanConfig, TriformError, require
 
 #: Placements drawn before giving up.
 _ATTEMPTS = 1_000_000

@@ -10,7 +10,6 @@ import numpy as np
 from PIL import Image
 
 from triform.evaluation.figures import Scene, present
-from triform.evaluation.metrics import SENSING_RANGE
 from triform.evaluation.output import write_bytes
 from triform.evaluation.rollout import Trajectory
 from triform.evaluation.style import (
@@ -30,7 +29,7 @@ from triform.evaluation.style import (
     robot_colours,
 )
 from triform.geometry import edge_error, gabriel_graph
-from triform.types import FloatArray
+from triform.types import SENSING_RANGE, FloatArray
 
 _PIXELS = 520
 #: A GIF has 256 colours: greys, and tints for so many robots.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from triform.evaluation import paper
-from triform.evaluation.metrics import SENSING_RANGE, TOLERANCE, RunTable, select, trailing_mean
+from triform.evaluation.metrics import TOLERANCE, RunTable, select, trailing_mean
 from triform.evaluation.rollout import Trajectory
 from triform.evaluation.style import (
     BLUE,
@@ -35,7 +35,7 @@ from triform.evaluation.style import (
 )
 from triform.geometry import edge_error, gabriel_graph
 from triform.simulation import Arena, Footprint
-from triform.types import FloatArray, IntArray
+from triform.types import SENSING_RANGE, FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 from triform.evaluation.rollout import Trajectory
 from triform.geometry import assess, edge_error
-from triform.types import BoolArray, FloatArray, require
+from triform.types import SENSING_RANGE, BoolArray, FloatArray, require
 
 #: Errors are averaged over this long [s]; so no run counts as converged before it.
 WINDOW = 5.0
 #: A formation is right while its mean relative edge error is below this.
 TOLERANCE = 0.1
-#: How far a robot senses [m]; longer edges do not count for ``success_sensed``.
-SENSING_RANGE = 2.0
 
 #: One column per measure, one row per run.
 RunTable = dict[str, NDArray[Any]]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from triform.evaluation.metrics import SENSING_RANGE
 from triform.simulation import Arena, World, sample_addition
-from triform.types import BoolArray, FloatArray, TriformError
+from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError
 
 #: A robot that joins is given up after so many places that the arena blocks.
 _DRAWS = 1000

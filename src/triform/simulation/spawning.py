@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from triform.simulation._spawn_kernels import first_valid, insert_in_turn, linked
-from triform.types import BoolArray, FloatArray, TriformError, require
+from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError, require
 
 #: Smallest distance between two centres at the start, and from a robot that joins to the others [m].
 SPACING = 0.5
-#: Pairs within this distance are linked, and the links must connect everybody [m].
-REACH = 2.0
 
 #: Up to this many robots whole placements are drawn until one is valid, which is exactly uniform over the valid
 #: placements. Beyond, hardly any whole placement is valid (about 10 % at 13 robots, 0.01 % at 50).
@@ -36,7 +34,7 @@ def _positions(robots: int, side: float, rng: np.random.Generator) -> FloatArray
     for _ in range(_ROUNDS):
         if robots <= _WHOLE_PLACEMENTS:
             candidates = side * (rng.random((_CANDIDATES, robots, 2)) - 0.5)
-            index = first_valid(candidates, SPACING, REACH)
+            index = first_valid(candidates, SPACING, SENSING_RANGE)
             if index >= 0:
                 return np.array(candidates[index])
         else:
@@ -44,7 +42,7 @@ def _positions(robots: int, side: float, rng: np.random.Generator) -> FloatArray
             # predecessors leave free.
             placed = np.empty((robots, 2))
             single = side * (rng.random((4 * robots, 2)) - 0.5)
-            if insert_in_turn(single, SPACING, placed) == robots and linked(placed, REACH):
+            if insert_in_turn(single, SPACING, placed) == robots and linked(placed, SENSING_RANGE):
                 return placed
     return None
 
@@ -80,7 +78,7 @@ def starts(robots: int, runs: int, seed: int, first: int = 0, side: float | None
         if positions is None:
             raise TriformError(
                 f"no start of {robots} robots found in a square of {width:.2f} m with centres at least "
-                f"{SPACING} m apart and everybody linked within {REACH} m"
+                f"{SPACING} m apart and everybody linked within {SENSING_RANGE} m"
             )
         poses[run, :, :2] = positions
         poses[run, :, 2] = rng.uniform(-np.pi, np.pi, robots)
@@ -107,11 +105,11 @@ def sample_addition(poses: FloatArray, active: BoolArray, rng: np.random.Generat
     others = poses[active, :2]
     if len(others) == 0:
         raise TriformError("a robot cannot join a world that has no robots: there is nobody to be near to")
-    low, high = others.min(axis=0) - REACH, others.max(axis=0) + REACH
+    low, high = others.min(axis=0) - SENSING_RANGE, others.max(axis=0) + SENSING_RANGE
     for _ in range(_ROUNDS):
         places = rng.uniform(low, high, (_CANDIDATES, 2))
         nearest = np.linalg.norm(places[:, None] - others, axis=-1).min(axis=1)
-        valid = np.flatnonzero((nearest >= SPACING) & (nearest <= REACH))
+        valid = np.flatnonzero((nearest >= SPACING) & (nearest <= SENSING_RANGE))
         if len(valid):
             return np.array([*places[valid[0]], rng.uniform(-np.pi, np.pi)])
     raise TriformError(f"no free place for a new robot among {len(others)} robots")

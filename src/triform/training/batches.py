@@ -54,6 +54,11 @@ def _prepare(
     return TrainBatch(packed, commands.astype(np.float32), targets, valid)
 
 
+def _validation_count(config: TrainConfig) -> int:
+    """Mini-batches of a validation set."""
+    return max(1, round(VALIDATION_MAPS / config.batch_maps))
+
+
 class FreshSource:
     """Demonstrations drawn anew for every mini-batch, each a function of the seed and its number."""
 
@@ -77,8 +82,7 @@ class FreshSource:
 
     def validation(self) -> list[TrainBatch]:
         """Mini-batches that training never draws."""
-        count = max(1, round(VALIDATION_MAPS / self._config.batch_maps))
-        return [self._draw(_VALIDATION_STREAM, index) for index in range(count)]
+        return [self._draw(_VALIDATION_STREAM, index) for index in range(_validation_count(self._config))]
 
     def _draw(self, stream: int, index: int) -> TrainBatch:
         config = self._config
@@ -128,9 +132,8 @@ class StoredSource:
     def validation(self) -> list[TrainBatch]:
         """Some of the records that are held out; of the training records if none are."""
         split: Split = "validation" if self._demonstrations.records("validation") else "train"
-        count = max(1, round(VALIDATION_MAPS / self._config.batch_maps))
         records = self._demonstrations.batches(split, self._records, seed=self._config.seed)
-        return [self._read(each) for each in itertools.islice(records, count)]
+        return [self._read(each) for each in itertools.islice(records, _validation_count(self._config))]
 
     def _read(self, records: Records) -> TrainBatch:
         around = neighbours(records.poses, expert_variant(self._config.teacher).sensing_range)
