@@ -12,6 +12,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from triform.types import ConfigurationError
 
+#: Fresh maps on which an exported policy is compared with PyTorch.
+_CHECKED_MAPS = 1000
+
 
 @dataclass(frozen=True)
 class Collect:
@@ -138,10 +141,25 @@ class Export:
     folder: Annotated[Path, tyro.conf.Positional]
 
     def run(self, console: Console) -> None:
-        """Export and say where to."""
+        """Export, check on fresh maps and say how well it went."""
+        import numpy as np
+
+        from triform.control import Teacher
+        from triform.dataset import StateConfig, draw_fresh
+        from triform.policy import read_spec
+        from triform.policy.checkpoint import ONNX_FILE
         from triform.policy.export import export_policy
 
-        console.print(f"wrote {export_policy(self.folder)}", soft_wrap=True, markup=False)
+        spec = read_spec(self.folder)
+        rng = np.random.default_rng(0)
+        fresh = draw_fresh(rng, _CHECKED_MAPS, Teacher("expert"), StateConfig(robots=(13,)), spec.scan, spec.map)
+        difference = export_policy(self.folder, fresh.maps)
+        console.print(
+            f"wrote {self.folder / ONNX_FILE}; on {len(fresh.maps)} fresh maps its commands are PyTorch's to "
+            f"{difference:.0e}",
+            soft_wrap=True,
+            markup=False,
+        )
 
 
 def _given(options: Collect | Train, *names: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from triform.control import CONTROLLERS, LearnedPolicy, make_controller, shipped
 from triform.perception import occupancy_maps
 from triform.policy import PolicyRuntime, pack
 from triform.simulation import World, get_profile, starts
+from triform.threads import limit_threads
 from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig, TriformError, View
 
 WEIGHTS = sorted(shipped_weights())
@@ -16,7 +17,7 @@ WEIGHTS = sorted(shipped_weights())
 
 @pytest.fixture(scope="module", params=WEIGHTS)
 def policy(request: pytest.FixtureRequest) -> LearnedPolicy:
-    return LearnedPolicy(PolicyRuntime(shipped_weights()[request.param], threads=1))
+    return LearnedPolicy(PolicyRuntime(shipped_weights()[request.param]))
 
 
 def test_weights_are_shipped() -> None:
@@ -41,13 +42,21 @@ def test_every_robot_is_driven_by_its_own_scan_alone(policy: LearnedPolicy) -> N
             own = View(
                 Scan(view.scans.ranges[b : b + 1, n : n + 1], view.scans.config), np.ones((1, 1), dtype=bool), 0.0
             )
-            np.testing.assert_allclose(policy.command(own)[0, 0], together[b, n], atol=1e-5)
+            np.testing.assert_array_equal(policy.command(own)[0, 0], together[b, n])
+
+
+def test_commands_are_the_same_with_any_number_of_threads(policy: LearnedPolicy) -> None:
+    view = World(starts(7, 90, seed=1), get_profile("ideal")).observe()
+    with limit_threads(1):
+        alone = policy.command(view)
+    with limit_threads(3):
+        np.testing.assert_array_equal(policy.command(view), alone)
 
 
 def test_algorithm_2_is_scan_map_network(policy: LearnedPolicy) -> None:
     view = World(starts(5, 1, seed=2), get_profile("ideal")).observe()
     maps = occupancy_maps(view.scans, MapConfig())[0]
-    runtime = PolicyRuntime(shipped_weights()["default"], threads=1)
+    runtime = PolicyRuntime(shipped_weights()["default"])
     np.testing.assert_allclose(LearnedPolicy(runtime).command(view)[0], runtime.commands(pack(maps, 10)), atol=1e-6)
 
 
@@ -110,7 +119,7 @@ def test_other_settings_are_refused(policy: LearnedPolicy) -> None:
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_every_controller_commands_a_world(name: str) -> None:
     world = World(starts(4, 2, seed=3), get_profile("ideal"))
-    controller = make_controller(name, threads=1)
+    controller = make_controller(name)
     commands = controller.command(world.observe())
     assert commands.shape == (2, 4, 3)
     assert np.isfinite(commands).all()

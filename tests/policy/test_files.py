@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import struct
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,7 +34,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for parameter in network.parameters():
             parameter.add_(0.2 * torch.randn_like(parameter))
     save_policy(folder, network, SPEC)
-    export_policy(folder)
+    assert export_policy(folder, some_maps(50)) <= 1e-4
     return folder
 
 
@@ -64,14 +65,50 @@ def test_onnx_runtime_equals_pytorch_for_any_number_of_patches(exported: Path) -
     packed = pack(maps, 5)
     with torch.no_grad():
         expected = network(token_batch(packed)).numpy()
-    commands = PolicyRuntime(exported, threads=1).commands(packed)
+    commands = PolicyRuntime(exported).commands(packed)
     assert commands.shape == (604, 3)
     np.testing.assert_allclose(commands, expected, atol=1e-4)
 
 
+def test_what_a_map_gets_does_not_depend_on_its_batch(exported: Path) -> None:
+    maps = some_maps(300)
+    runtime = PolicyRuntime(exported)
+    together = runtime.commands(pack(maps, 5))
+    for size in (1, 2, 3, 50):
+        apart = [runtime.commands(pack(maps[k : k + size], 5)) for k in range(0, len(maps), size)]
+        np.testing.assert_array_equal(np.concatenate(apart), together)
+
+
+def test_threads_share_a_policy(exported: Path) -> None:
+    runtime = PolicyRuntime(exported)
+    packed = [pack(some_maps(40 + k), 5) for k in range(20)]
+    expected = [runtime.commands(each) for each in packed]
+    with ThreadPoolExecutor(4) as pool:
+        for found, wanted in zip(pool.map(runtime.commands, packed), expected, strict=True):
+            np.testing.assert_array_equal(found, wanted)
+
+
+def test_a_graph_that_differs_from_pytorch_is_not_kept(
+    exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = copy(exported, tmp_path / "policy")
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    monkeypatch.setattr("triform.policy.graph._EPSILON", 0.1)
+    with pytest.raises(TriformError, match="differs from PyTorch"):
+        export_policy(folder, some_maps(20))
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("change", [{"depth": 1}, {"attention": "all"}, {"heads": 1}, {"outputs": 7}])
+def test_every_shape_of_network_can_be_exported(change: dict, tmp_path: Path) -> None:
+    spec = replace(SPEC, network=replace(SPEC.network, **change))
+    save_policy(tmp_path / "policy", VisionTransformer(spec.network), spec)
+    assert export_policy(tmp_path / "policy", some_maps(20)) <= 1e-4
+
+
 def test_no_maps_give_no_commands(exported: Path) -> None:
     nothing = PackedMaps(np.empty((0, 25), np.uint8), np.empty(0, np.int64), np.empty(0, np.int64))
-    assert PolicyRuntime(exported, threads=1).commands(nothing).shape == (0, 3)
+    assert PolicyRuntime(exported).commands(nothing).shape == (0, 3)
 
 
 def test_the_weights_stand_in_one_file_only(exported: Path) -> None:
@@ -143,7 +180,7 @@ def test_a_foreign_or_damaged_folder_is_refused(exported: Path, tmp_path: Path) 
 def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
     pickled = tmp_path / "policy.pt"
     torch.save(VisionTransformer(SPEC.network).state_dict(), pickled)
-    for load in (load_policy, PolicyRuntime, export_policy):
+    for load in (load_policy, PolicyRuntime, lambda path: export_policy(path, some_maps(1))):
         with pytest.raises(TriformError, match="pickled checkpoints are never loaded"):
             load(pickled)
     folder = tmp_path / "policy"

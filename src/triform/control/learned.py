@@ -7,9 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from triform.perception import occupancy_maps
-from triform.policy import PolicyRuntime, pack
-from triform.types import ConfigurationError, FloatArray, View
+from triform.control.scan_packer import SCANS_AT_ONCE, ScanPacker
+from triform.policy import PolicyRuntime
+from triform.threads import in_parts
+from triform.types import ConfigurationError, FloatArray, Scan, View
+
+#: Robots whose commands keep a thread busy for a few milliseconds.
+_ROBOTS_PER_THREAD = 64
 
 
 class LearnedPolicy:
@@ -39,6 +43,7 @@ class LearnedPolicy:
             )
         self._runtime = runtime
         self._spec = runtime.spec
+        self._packer: ScanPacker | None = None
 
     @property
     def description(self) -> dict[str, Any]:
@@ -57,9 +62,25 @@ class LearnedPolicy:
         Raises:
             ConfigurationError: If the scans do not fit the policy's training.
         """
-        self._spec.check_scan(view.scans)
-        network = self._spec.network
+        packer = self._packer_for(view.scans)
         commands = np.zeros((*view.active.shape, 3))
-        maps = occupancy_maps(view.scans, self._spec.map)[view.active]
-        commands[view.active] = self._runtime.commands(pack(maps, network.patch, network.attention))
+        robots = np.flatnonzero(view.active)
+        ranges = view.scans.ranges.reshape(-1, view.scans.config.rays)
+        flat = commands.reshape(-1, 3)
+
+        def drive(first: int, last: int) -> None:
+            for begin in range(first, last, SCANS_AT_ONCE):
+                some = robots[begin : min(begin + SCANS_AT_ONCE, last)]
+                flat[some] = self._runtime.commands(packer.pack(ranges[some]))
+
+        in_parts(drive, len(robots), len(robots), _ROBOTS_PER_THREAD)
         return commands
+
+    def _packer_for(self, scans: Scan) -> ScanPacker:
+        """The packer for scans of this configuration, made when the first one comes."""
+        packer = self._packer
+        if packer is None or packer.scan != scans.config:
+            self._spec.check_scan(scans)
+            network = self._spec.network
+            packer = self._packer = ScanPacker(scans.config, self._spec.map, network.patch, network.attention)
+        return packer

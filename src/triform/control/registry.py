@@ -36,16 +36,14 @@ def weights_folder(weights: str | None) -> Path:
     return folder
 
 
-def make_controller(
-    name: str, distance: float = 1.0, weights: str | None = None, threads: int | None = None
-) -> Controller[Any]:
+def make_controller(name: str, distance: float = 1.0, weights: str | None = None, threads: int = 1) -> Controller[Any]:
     """Make a controller.
 
     Args:
         name: One of ``CONTROLLERS``.
         distance: Prescribed neighbour distance d* [m].
         weights: For ``policy``: a shipped policy's name or a folder; the default policy if ``None``.
-        threads: For ``policy``: threads of the network.
+        threads: For ``policy``: threads of one call of the network, see ``PolicyRuntime``.
 
     Raises:
         ConfigurationError: If there is no such controller, or it cannot be made with these settings.

@@ -11,9 +11,9 @@ This is the only implementation; data, training and robots all call it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from triform.threads import threads_for
+from triform.threads import in_parts
 from triform.types import MapArray, MapConfig, Scan
 
 _MARKED = 1
@@ -112,13 +112,14 @@ def occupied_into(ranges, cos, sin, range_max, cell, min_cells, max_cells, grid,
     return kept
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, first, last, out):  # type: ignore[no-untyped-def]
     size = out.shape[1]
-    for m in prange(ranges.shape[0]):
-        scratch = np.empty((2, size * size), dtype=np.int32)
-        cells = np.empty(size * size, dtype=np.int32)
-        kept = occupied_into(ranges[m], cos, sin, range_max, cell, min_cells, max_cells, out[m], scratch, cells)
+    grid = np.zeros((size, size), dtype=np.uint8)
+    scratch = np.empty((2, size * size), dtype=np.int32)
+    cells = np.empty(size * size, dtype=np.int32)
+    for m in range(first, last):
+        kept = occupied_into(ranges[m], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells)
         for q in range(kept):
             out[m, cells[q] // size, cells[q] % size] = 1
 
@@ -138,17 +139,14 @@ def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
         Maps, uint8, shape (..., H, W): 1 where a robot-sized group of returns is, 0 elsewhere.
     """
     angles = scan.config.angles
-    ranges = np.ascontiguousarray(scan.ranges, dtype=np.float64).reshape(-1, scan.config.rays)
+    cos, sin = np.cos(angles), np.sin(angles)
+    ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
     out = np.zeros((ranges.shape[0], config.size, config.size), dtype=np.uint8)
-    with threads_for(len(ranges), _SCANS_PER_THREAD):
-        _maps(
-            ranges,
-            np.cos(angles),
-            np.sin(angles),
-            scan.config.range_max,
-            config.cell,
-            config.min_cells,
-            config.max_cells,
-            out,
-        )
+    limits = (scan.config.range_max, config.cell, config.min_cells, config.max_cells)
+    in_parts(
+        lambda first, last: _maps(ranges, cos, sin, *limits, first, last, out),
+        len(ranges),
+        len(ranges),
+        _SCANS_PER_THREAD,
+    )
     return out.reshape(*scan.ranges.shape[:-1], config.size, config.size)

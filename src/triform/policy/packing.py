@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from triform.types import ConfigurationError, IntArray, MapArray
 
+Keep = Literal["occupied", "all"]
+
 
 @dataclass(frozen=True)
 class PackedMaps:
@@ -28,53 +30,77 @@ class PackedMaps:
 
 
 @njit(cache=True, nogil=True)
-def _mark_patches(maps, patch, occupied):  # type: ignore[no-untyped-def]
-    for m in range(maps.shape[0]):
-        for i in range(maps.shape[1]):
-            for j in range(maps.shape[2]):
-                if maps[m, i, j]:
-                    occupied[m, i // patch, j // patch] = True
+def append_patches(cells, count, size, patch, keep_all, slots, patches, positions, token):  # type: ignore[no-untyped-def]
+    """Append the patches of one map, given by its occupied cells, behind ``token`` patches.
+
+    Args:
+        cells: Flat indices ``row * size + column`` of the occupied cells; the first ``count`` count.
+        count: Number of occupied cells.
+        size: Cells along each side of the map.
+        patch: Cells along each side of a patch.
+        keep_all: Whether to keep empty patches too.
+        slots: Working room, int32, shape (P,) for the P patches of a map; must be all -1 and is left all -1.
+        patches: Patches, shape (K, patch * patch), with room for P more.
+        positions: Their positions, shape (K,).
+        token: Patches before.
+
+    Returns:
+        Patches afterwards.
+    """
+    columns = size // patch
+    for c in range(count):
+        slots[cells[c] // size // patch * columns + cells[c] % size // patch] = 0
+    for p in range(slots.shape[0]):
+        if keep_all or slots[p] == 0:
+            slots[p] = token
+            positions[token] = p
+            patches[token] = 0
+            token += 1
+    for c in range(count):
+        row, column = cells[c] // size, cells[c] % size
+        patches[slots[row // patch * columns + column // patch], row % patch * patch + column % patch] = 1
+    slots[:] = -1
+    return token
 
 
 @njit(cache=True, nogil=True)
-def _copy_patches(maps, patch, kept, patches, positions, counts):  # type: ignore[no-untyped-def]
+def _pack(maps, patch, keep_all, slots, patches, positions, counts):  # type: ignore[no-untyped-def]
+    size = maps.shape[1]
+    cells = np.empty(size * size, dtype=np.int32)
     token = 0
-    columns = kept.shape[2]
     for m in range(maps.shape[0]):
-        first = token
-        for a in range(kept.shape[1]):
-            for b in range(columns):
-                if kept[m, a, b]:
-                    positions[token] = a * columns + b
-                    for i in range(patch):
-                        for j in range(patch):
-                            patches[token, i * patch + j] = maps[m, a * patch + i, b * patch + j]
-                    token += 1
-        counts[m] = token - first
+        count = 0
+        for i in range(size):
+            for j in range(size):
+                if maps[m, i, j]:
+                    cells[count] = i * size + j
+                    count += 1
+        after = append_patches(cells, count, size, patch, keep_all, slots, patches, positions, token)
+        counts[m] = after - token
+        token = after
+    return token
 
 
-def pack(maps: MapArray, patch: int, keep: Literal["occupied", "all"] = "occupied") -> PackedMaps:
+def pack(maps: MapArray, patch: int, keep: Keep = "occupied") -> PackedMaps:
     """Cut maps into square patches and keep the occupied ones, or all.
 
     Args:
-        maps: Occupancy maps, shape (M, H, W).
+        maps: Occupancy maps, shape (M, H, H).
         patch: Cells along each side of a patch.
         keep: Which patches to keep.
 
     Raises:
-        ConfigurationError: If the maps are not a batch of maps that divides into patches.
+        ConfigurationError: If the maps are not a batch of square maps that divide into patches.
     """
-    if maps.ndim != 3 or maps.shape[1] % patch or maps.shape[2] % patch:
+    if maps.ndim != 3 or maps.shape[1] != maps.shape[2] or maps.shape[1] % patch:
         raise ConfigurationError(
-            f"maps of shape {maps.shape} do not divide into patches of {patch} x {patch} cells; (M, H, W) is needed"
+            f"maps of shape {maps.shape} do not divide into patches of {patch} x {patch} cells; (M, H, H) is needed"
         )
-    grid = (maps.shape[0], maps.shape[1] // patch, maps.shape[2] // patch)
-    kept = np.full(grid, keep == "all")
-    if keep == "occupied":
-        _mark_patches(maps, patch, kept)
-    tokens = int(kept.sum())
-    patches = np.empty((tokens, patch * patch), dtype=np.uint8)
-    positions = np.empty(tokens, dtype=np.int64)
-    counts = np.empty(maps.shape[0], dtype=np.int64)
-    _copy_patches(maps, patch, kept, patches, positions, counts)
-    return PackedMaps(patches, positions, counts)
+    per_map = (maps.shape[1] // patch) ** 2
+    # Pages of these that no patch reaches are never touched.
+    patches = np.empty((len(maps) * per_map, patch**2), dtype=np.uint8)
+    positions = np.empty(len(maps) * per_map, dtype=np.int64)
+    counts = np.empty(len(maps), dtype=np.int64)
+    slots = np.full(per_map, -1, dtype=np.int32)
+    tokens = _pack(maps, patch, keep == "all", slots, patches, positions, counts)
+    return PackedMaps(patches[:tokens].copy(), positions[:tokens].copy(), counts)

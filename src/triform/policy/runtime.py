@@ -2,43 +2,110 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
+from numba import njit
 
 from triform.policy.checkpoint import PolicySpec, check_graph, read_spec, read_weights
 from triform.policy.packing import PackedMaps
-from triform.types import ConfigurationError, FloatArray, TriformError
+from triform.types import FloatArray, TriformError, require
 
-# Rows of one call: large enough to use the processor, small enough to stay in its cache.
-_ROWS = 256
+#: Tokens of one call: enough to use the processor, few enough to stay in its cache.
+_TOKENS_AT_ONCE = 1024
+
+
+@njit(cache=True, nogil=True)
+def _sort_by_count(counts, begins, order, first):  # type: ignore[no-untyped-def]
+    """Sort maps by their number of patches, keeping their order where it is the same.
+
+    Args:
+        counts: Patches of every map, shape (M,), at most P.
+        begins: To fill: where maps with c patches begin in ``order``, shape (P + 2,).
+        order: To fill: maps in growing order of their patches, shape (M,).
+        first: To fill: first patch of every map, shape (M,).
+    """
+    begins[:] = 0
+    token = 0
+    for m in range(counts.shape[0]):
+        begins[counts[m] + 1] += 1
+        first[m] = token
+        token += counts[m]
+    for c in range(1, begins.shape[0]):
+        begins[c] += begins[c - 1]
+    for m in range(counts.shape[0]):
+        order[begins[counts[m]]] = m
+        begins[counts[m]] += 1
+    for c in range(begins.shape[0] - 1, 0, -1):
+        begins[c] = begins[c - 1]
+    begins[0] = 0
+
+
+@njit(cache=True, nogil=True)
+def _fill_rows(patches, positions, first, maps, tokens, places):  # type: ignore[no-untyped-def]
+    """Lay the patches of ``maps`` side by side, each map's behind an empty patch for its class token.
+
+    Args:
+        patches: Patches of all maps, shape (K, patch * patch).
+        positions: Their positions, shape (K,).
+        first: First patch of every map.
+        maps: The maps to lay out, shape (m,), with equally many patches.
+        tokens: To fill, float32, shape (m, L, patch * patch).
+        places: To fill, shape (m, L); holds the position of the class token in slot 0.
+    """
+    for k in range(maps.shape[0]):
+        begin = first[maps[k]]
+        for c in range(tokens.shape[2]):
+            tokens[k, 0, c] = 0.0
+        for slot in range(1, tokens.shape[1]):
+            places[k, slot] = positions[begin + slot - 1]
+            for c in range(tokens.shape[2]):
+                tokens[k, slot, c] = patches[begin + slot - 1, c]
+
+
+class _Room(threading.local):
+    """Working room, one for each thread; it grows with the largest batch."""
+
+    def __init__(self, patches: int, cells: int) -> None:
+        slots = max(_TOKENS_AT_ONCE, patches + 1)
+        self.tokens = np.empty(slots * cells, dtype=np.float32)
+        self.places = np.empty(slots, dtype=np.int64)
+        self.begins = np.empty(patches + 2, dtype=np.int64)
+        self.order = np.empty(0, dtype=np.int64)
+        self.first = np.empty(0, dtype=np.int64)
+
+    def fit(self, maps: int) -> None:
+        """Have room for the order of so many maps."""
+        if maps > len(self.order):
+            self.order = np.empty(maps, dtype=np.int64)
+            self.first = np.empty(maps, dtype=np.int64)
 
 
 class PolicyRuntime:
-    """A policy that turns packed occupancy maps into body twists."""
+    """A policy that turns packed occupancy maps into body twists; may be called from several threads at once."""
 
-    def __init__(self, folder: Path, threads: int | None = None) -> None:
+    def __init__(self, folder: Path, threads: int = 1) -> None:
         """Load the policy in ``folder``.
 
         Args:
             folder: Holds ``model.onnx``, ``model.safetensors`` and ``model.json``.
-            threads: Threads of the network; ONNX Runtime's own choice if ``None``.
+            threads: Threads of one call. More than one helps a large network on large batches only; batches are
+                better split over calls from several threads.
 
         Raises:
             TriformError: If the folder holds no exported policy, or it cannot be loaded.
         """
-        if threads is not None and threads < 1:
-            raise ConfigurationError(f"threads is {threads}; it must be at least 1")
+        require(threads >= 1, f"threads is {threads}; it must be at least 1")
         self.folder = folder
         self.spec: PolicySpec = read_spec(folder)
         read_weights(folder, self.spec)
         path = check_graph(folder, self.spec)
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
-        if threads is not None:
-            options.intra_op_num_threads = threads
-            options.inter_op_num_threads = 1
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
         try:
             self._session = onnxruntime.InferenceSession(
                 str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0
@@ -46,29 +113,34 @@ class PolicyRuntime:
         except Exception as error:
             raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
 
-        cells = self._session.get_inputs()[0].shape[-1]
+        inputs = {each.name: each.shape for each in self._session.get_inputs()}
         outputs = self._session.get_outputs()[0].shape[-1]
         network = self.spec.network
-        if (cells, outputs) != (network.patch**2, network.outputs):
+        if (inputs["patches"][-1], outputs) != (network.patch**2, network.outputs):
             raise TriformError(
-                f"{path} reads patches of {cells} cells and gives {outputs} numbers; its description says "
-                f"{network.patch**2} and {network.outputs}"
+                f"{path} reads patches of {inputs['patches'][-1]} cells and gives {outputs} numbers; its description "
+                f"says {network.patch**2} and {network.outputs}"
             )
+        self._room = _Room(network.patches, network.patch**2)
 
     def commands(self, packed: PackedMaps) -> FloatArray:
         """Body twists (M, 3) [m/s, m/s, rad/s] of M maps.
 
-        Maps with equally many patches share a call, so nothing is computed on padding.
+        Maps with equally many patches share a call, so nothing is computed on padding. What a map gets is the same to
+        the bit whatever other maps are in the batch.
         """
-        out = np.zeros((len(packed.counts), self.spec.network.outputs))
-        first = np.cumsum(packed.counts) - packed.counts
-        for count in np.unique(packed.counts):
-            rows = np.flatnonzero(packed.counts == count)
-            for begin in range(0, len(rows), _ROWS):
-                part = rows[begin : begin + _ROWS]
-                tokens = first[part, None] + np.arange(count)
-                (out[part],) = self._session.run(
-                    None,
-                    {"patches": packed.patches[tokens].astype(np.float32), "positions": packed.positions[tokens]},
-                )
+        network, room, maps = self.spec.network, self._room, len(packed.counts)
+        out = np.empty((maps, network.outputs))
+        room.fit(maps)
+        _sort_by_count(packed.counts, room.begins, room.order, room.first)
+        for count in np.flatnonzero(np.diff(room.begins)):
+            slots = int(count) + 1
+            at_once = max(1, _TOKENS_AT_ONCE // slots)
+            for begin in range(room.begins[count], room.begins[count + 1], at_once):
+                some = room.order[begin : min(begin + at_once, room.begins[count + 1])]
+                tokens = room.tokens[: len(some) * slots * network.patch**2].reshape(len(some), slots, -1)
+                places = room.places[: len(some) * slots].reshape(len(some), slots)
+                places[:, 0] = network.patches
+                _fill_rows(packed.patches, packed.positions, room.first, some, tokens, places)
+                (out[some],) = self._session.run(["commands"], {"patches": tokens, "positions": places})
         return out

@@ -6,6 +6,9 @@ at a fraction of the work. ``attention="all"`` is the paper's own network, which
 
 Tokens of all maps of a batch lie one after the other (K of them), the M class tokens behind them; only attention
 needs them side by side in rows of equal length.
+
+Only the class token is read in the end, so the last layer is computed for it alone: the same function again, with
+about a third of the paper's network less to compute.
 """
 
 from __future__ import annotations
@@ -63,8 +66,33 @@ class Block(nn.Module):
         queries, keys, values = rows.spread(self.qkv(self.norm_attention(x)), 3, self.heads)
         mixed = functional.scaled_dot_product_attention(queries, keys, values, attn_mask=rows.mask)
         x = x + self.project(rows.gather(mixed))
-        hidden = functional.gelu(self.expand(self.norm_mlp(x)))
-        out: Tensor = x + self.contract(hidden)
+        return self._mlp(x)
+
+    def read_out(self, x: Tensor, rows: Rows) -> Tensor:
+        """Transform the class tokens alone: what ``forward`` gives in their place, shape (M, D).
+
+        The score of head h for token y is ``q_h . (W_h y + b_h) = (W_h^T q_h) . y + const``, and its output is
+        ``V_h sum_j(a_j y_j) + c_h``, as the weights a_j sum to one: with one query per map, keys and values need not
+        be computed token by token.
+        """
+        maps, dim = rows.maps, x.shape[1]
+        normed = self.norm_attention(x)
+        to_query, to_key, to_value = self.qkv.weight.view(3, self.heads, dim // self.heads, dim)
+        query_bias, _, value_bias = self.qkv.bias.view(3, dim)
+        first = x.shape[0] - maps
+        # (heads, M, D / heads) -> (M, heads, D): one probe per head
+        queries = functional.linear(normed[first:], to_query.reshape(dim, dim), query_bias)
+        probes = (queries.view(maps, self.heads, -1).transpose(0, 1) @ to_key).transpose(0, 1)
+        (tokens,) = rows.spread(normed, 1, 1)
+        # The heads take the place of the queries, and all share the same keys and values: (M, 1, heads, D)
+        mixed = functional.scaled_dot_product_attention(
+            probes[:, None], tokens, tokens, attn_mask=rows.mask, scale=(dim // self.heads) ** -0.5
+        )
+        values = (mixed[:, 0].transpose(0, 1) @ to_value.transpose(1, 2)).transpose(0, 1).reshape(maps, dim)
+        return self._mlp(x[first:] + self.project(values + value_bias))
+
+    def _mlp(self, x: Tensor) -> Tensor:
+        out: Tensor = x + self.contract(functional.gelu(self.expand(self.norm_mlp(x))))
         return out
 
 
@@ -114,14 +142,14 @@ class VisionTransformer(nn.Module):
         nn.init.normal_(self.position, std=0.02)
 
     def encode(self, tokens: TokenBatch) -> tuple[Tensor, Tensor]:
-        """Return the encoded patches (K, D) and the encoded class tokens (M, D)."""
+        """Return the patches as they enter the last layer (K, D) and the class tokens as they leave it (M, D)."""
         patches = self.embed(tokens.patches) + self.position[1:][tokens.positions]
         maps = tokens.counts.shape[0]
         x = torch.cat([patches, (self.class_token + self.position[0]).expand(maps, -1)])
         rows = Rows(tokens.counts)
-        for block in self.blocks:
+        for block in self.blocks[:-1]:
             x = block(x, rows)
-        return x[: patches.shape[0]], x[patches.shape[0] :]
+        return x[: patches.shape[0]], self.blocks[-1].read_out(x, rows)
 
     def command(self, class_features: Tensor) -> Tensor:
         """Body twists (M, 3) from encoded class tokens (M, D)."""
