@@ -1,12 +1,13 @@
 # make demo   the main job on the shipped weights
 # make test   every check that CI runs
-# Both set up their own virtual environment in .venv; the second time that takes no time.
+# make bench  speed, beside peers and the machine's limits, into benchmarks/results
+# All set up their own virtual environment in .venv; the second time that takes no time.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 
-.PHONY: demo test clean
+.PHONY: demo test bench clean
 
 demo: .venv/installed-evaluate
 	$(BIN)/triform demo
@@ -17,6 +18,9 @@ test: .venv/installed-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest
+
+bench: .venv/installed-bench
+	$(BIN)/python -m benchmarks
 
 clean:
 	rm -rf .venv demo build src/triform.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
