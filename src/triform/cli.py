@@ -23,6 +23,7 @@ _EXTRAS = {
     "tensorboard": "train",
     "onnx": "train",
     "onnxscript": "train",
+    "ray": "ray",
 }
 
 

@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from triform.engines import EngineName, open_engine
 from triform.types import ConfigurationError
 
 #: Fresh maps on which an exported policy is compared with PyTorch.
@@ -30,6 +31,8 @@ class Collect:
         steps: Records of one roll-out. The preset's if omitted.
         placements: Random placements. The preset's if omitted.
         workers: Shards collected side by side; one for each processor if omitted.
+        engine: Where: local is this process, ray is Ray, on this machine or a cluster. The data set is the same.
+        ray_address: Ray cluster to use, host:port or auto; Ray is started on this machine if omitted.
     """
 
     out: Path
@@ -40,6 +43,8 @@ class Collect:
     steps: int | None = None
     placements: int | None = None
     workers: int | None = None
+    engine: EngineName = "local"
+    ray_address: str | None = None
 
     def run(self, console: Console) -> None:
         """Collect, with progress."""
@@ -47,13 +52,15 @@ class Collect:
 
         given = _given(self, "teacher", "seed", "runs", "steps", "placements")
         config = replace(PRESETS[self.preset], **given)
-        with _progress(console) as bar:
+        with open_engine(self.engine, self.workers, self.ray_address) as engine, _progress(console) as bar:
             task = bar.add_task("collecting", total=config.maps, rate=0.0)
             manifest = collect(
                 self.out,
                 config,
-                self.workers,
-                lambda done, total: bar.update(task, completed=done, total=total, rate=bar.tasks[0].speed or 0.0),
+                progress=lambda done, total: bar.update(
+                    task, completed=done, total=total, rate=bar.tasks[0].speed or 0.0
+                ),
+                engine=engine,
             )
         size = sum(shard.bytes for shard in manifest.shards) / 1e6
         console.print(
@@ -77,8 +84,11 @@ class Train:
             preset's if omitted.
         learning_rate: Peak learning rate. The preset's if omitted.
         seed: Seed of weights and data. The preset's if omitted.
+        precision: Arithmetic of matrix products: ``float32``, ``medium`` (whichever float32 PyTorch computes fastest)
+            or ``bfloat16``. The preset's if omitted.
         device: PyTorch device, such as ``cpu`` or ``cuda``.
         threads: Threads of PyTorch on the CPU.
+        producers: Threads that make mini-batches ahead of time; one on the CPU and four for a GPU if omitted.
         resume: Continue the run in ``out`` exactly where it stopped.
     """
 
@@ -89,21 +99,26 @@ class Train:
     teacher: str | None = None
     learning_rate: float | None = None
     seed: int | None = None
+    precision: Literal["float32", "medium", "bfloat16"] | None = None
     device: str = "cpu"
     threads: int = 1
+    producers: int | None = None
     resume: bool = False
 
     def run(self, console: Console) -> None:
-        """Train, with progress."""
+        """Train, with progress, which only the first of several processes shows."""
         import torch
 
         from triform.dataset import load_manifest
         from triform.training import get_preset, train
+        from triform.training.processes import launched
 
+        if not launched().first:
+            console = Console(quiet=True)
         if self.threads < 1:
             raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
         torch.set_num_threads(self.threads)
-        given = _given(self, "maps", "teacher", "learning_rate", "seed")
+        given = _given(self, "maps", "teacher", "learning_rate", "seed", "precision")
         if self.data is not None and self.teacher is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(get_preset(self.preset), **given)
@@ -115,6 +130,7 @@ class Train:
                 data=self.data,
                 resume=self.resume,
                 device=self.device,
+                producers=self.producers,
                 report=lambda at: bar.update(
                     task,
                     completed=at.step,
@@ -136,9 +152,13 @@ class Export:
 
     Attributes:
         folder: Folder of a policy; ``model.onnx`` is written into it.
+        precision: Numbers of the linear layers. ``int8`` is faster and less exact.
+        out: Another folder for the exported policy.
     """
 
     folder: Annotated[Path, tyro.conf.Positional]
+    precision: Literal["float32", "int8"] = "float32"
+    out: Path | None = None
 
     def run(self, console: Console) -> None:
         """Export, check on fresh maps and say how well it went."""
@@ -153,10 +173,10 @@ class Export:
         spec = read_spec(self.folder)
         rng = np.random.default_rng(0)
         fresh = draw_fresh(rng, _CHECKED_MAPS, Teacher("expert"), StateConfig(robots=(13,)), spec.scan, spec.map)
-        difference = export_policy(self.folder, fresh.maps)
+        difference = export_policy(self.folder, fresh.maps, self.precision, self.out)
         console.print(
-            f"wrote {self.folder / ONNX_FILE}; on {len(fresh.maps)} fresh maps its commands are PyTorch's to "
-            f"{difference:.0e}",
+            f"wrote {(self.out or self.folder) / ONNX_FILE}; on {len(fresh.maps)} fresh maps its commands differ from "
+            f"PyTorch's by {difference.mean:.0e} on average and {difference.largest:.0e} at most",
             soft_wrap=True,
             markup=False,
         )

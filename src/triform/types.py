@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+#: Ranges of scans [m], of any floating type; the built-in world's are float32, as those of ``sensor_msgs/LaserScan``.
+RangeArray = NDArray[Any]
 IntArray = NDArray[np.int64]
 #: Occupancy maps: 1 where something is, 0 elsewhere; axis H grows with x (forward), axis W with y (left).
 MapArray = NDArray[np.uint8]
@@ -117,7 +119,7 @@ class Scan:
         config: Angles and limits of the scan.
     """
 
-    ranges: FloatArray
+    ranges: RangeArray
     config: ScanConfig
 
     def __post_init__(self) -> None:

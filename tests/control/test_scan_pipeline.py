@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 
-import numba
 import numpy as np
 import pytest
 
+from triform.control import scan_pipeline
 from triform.control.expert import Expert
 from triform.control.scan_pipeline import ScanPipeline
 from triform.geometry import edge_error
@@ -16,6 +16,7 @@ from triform.simulation.lidar import cast_scans
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint, get_profile
 from triform.simulation.spawning import starts
 from triform.simulation.world import World
+from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, PrivilegedView, Scan, ScanConfig, View
 
 CONFIG = ScanConfig()
@@ -104,15 +105,12 @@ def test_broken_rays_give_finite_commands():
     assert np.linalg.norm(command, axis=-1).max() <= 1 + 1e-12
 
 
-def test_the_number_of_threads_changes_nothing():
+def test_the_number_of_threads_changes_nothing(monkeypatch):
+    monkeypatch.setattr(scan_pipeline, "SCANS_PER_THREAD", 1)
     view = look(starts(5, 8, seed=4))
-    before = numba.get_num_threads()
     parallel = ScanPipeline().command(view)
-    numba.set_num_threads(1)
-    try:
+    with limit_threads(1):
         np.testing.assert_array_equal(ScanPipeline().command(view), parallel)
-    finally:
-        numba.set_num_threads(before)
 
 
 @pytest.mark.parametrize("bad", [{"distance": 0}, {"gain": np.inf}, {"max_speed": np.nan}, {"footprint": (0.3, -1)}])

@@ -106,7 +106,7 @@ def test_progress_grows_to_the_total(tmp_path: Path) -> None:
     assert seen[0] == (0, SMALL.maps)
     assert seen[-1] == (SMALL.maps, SMALL.maps)
     assert [done for done, _ in seen] == sorted({done for done, _ in seen})
-    assert len(seen) == SMALL.shards + 1
+    assert len(seen) > SMALL.shards + 1
 
 
 @pytest.mark.parametrize("full_from", [1, 4, 9, 12])
@@ -191,5 +191,5 @@ def test_two_collections_into_one_folder_are_refused(tmp_path: Path) -> None:
 
 
 def test_no_workers_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="workers is 0"):
+    with pytest.raises(ConfigurationError, match="0 workers"):
         collect(tmp_path, SMALL, workers=0)

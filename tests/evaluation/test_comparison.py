@@ -67,17 +67,17 @@ def test_nothing_left_to_compare_is_refused(tmp_path, console):
 
 
 def test_damaged_weights_are_refused_before_anything_runs(tmp_path, console, monkeypatch):
-    monkeypatch.setattr(module, "evaluate", lambda *given: pytest.fail("too late"))
+    monkeypatch.setattr(module, "evaluate", lambda *given, **options: pytest.fail("too late"))
     config = ReproduceConfig(compare=("expert", f"policy:{tmp_path}"), output=tmp_path / "out", **QUICK)
     with pytest.raises(TriformError, match="holds no policy"):
         reproduce(config, console)
 
 
 def test_finished_controllers_survive_an_interruption(tmp_path, console, monkeypatch):
-    def interrupted(config, on_step=None):
+    def interrupted(config, on_progress=None, engine=None):
         if config.controller == "scan-pipeline":
             raise KeyboardInterrupt
-        return evaluate(config, on_step)
+        return evaluate(config, on_progress, engine=engine)
 
     monkeypatch.setattr(module, "evaluate", interrupted)
     config = ReproduceConfig(compare=("expert", "scan-pipeline", "expert-odd"), output=tmp_path, **QUICK)

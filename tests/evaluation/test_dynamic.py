@@ -6,7 +6,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from triform.evaluation import DynamicConfig, dynamic, run_changes, run_dynamic, summarise_changes
+from triform.engines import LocalEngine
+from triform.evaluation import (
+    ChangedRuns,
+    DynamicConfig,
+    dynamic,
+    run_changes,
+    run_dynamic,
+    scenario,
+    summarise_changes,
+)
+from triform.evaluation.dynamic import measure_changes
 from triform.types import ConfigurationError
 
 QUICK = {"controller": "expert-sensed", "robots": 3, "runs": 4, "seed": 1, "change_time": 6.0, "duration": 14.0}
@@ -15,13 +25,13 @@ QUICK = {"controller": "expert-sensed", "robots": 3, "runs": 4, "seed": 1, "chan
 @pytest.fixture(scope="module")
 def addition():
     config = DynamicConfig(**QUICK)
-    return run_changes(config, config.make_controller(), "addition")
+    return run_changes(config, config.make_controller(), ChangedRuns("addition", 0, 4))
 
 
 @pytest.fixture(scope="module")
 def removal():
     config = DynamicConfig(**QUICK)
-    return run_changes(config, config.make_controller(), "removal")
+    return run_changes(config, config.make_controller(), ChangedRuns("removal", 0, 4))
 
 
 def test_an_added_robot_appears_at_the_moment_of_change_near_the_others(addition):
@@ -83,14 +93,24 @@ def test_results_are_kept_and_repeatable(tmp_path, console, addition):
     np.testing.assert_array_equal(frame[frame.change == "addition"].formation_error, addition[1]["formation_error"])
 
 
+def test_results_depend_neither_on_chunks_nor_on_threads(addition, removal, monkeypatch):
+    monkeypatch.setattr(scenario, "ROBOTS_PER_CHUNK", 3)
+    config = DynamicConfig(**(QUICK | {"threads": 2}))
+    apart = dict(measure_changes(config, config.make_controller(), LocalEngine(2)))
+    for change, (_, together) in (("addition", addition), ("removal", removal)):
+        assert apart[change].keys() == together.keys()
+        for name, column in together.items():
+            np.testing.assert_array_equal(apart[change][name], column, err_msg=name)
+
+
 def test_finished_additions_survive_an_interruption(tmp_path, console, monkeypatch):
-    def interrupted(config, controller, change, on_step=None):
-        if change == "removal":
+    def interrupted(config, controller, runs, on_step=None):
+        if runs.change == "removal":
             raise KeyboardInterrupt
-        return run_changes(config, controller, change, on_step)
+        return run_changes(config, controller, runs, on_step)
 
     monkeypatch.setattr(dynamic, "run_changes", interrupted)
-    config = DynamicConfig(json=tmp_path / "out.json", parquet=tmp_path / "out.parquet", **QUICK)
+    config = DynamicConfig(json=tmp_path / "out.json", parquet=tmp_path / "out.parquet", threads=1, **QUICK)
     with pytest.raises(KeyboardInterrupt):
         run_dynamic(config, console)
     assert [entry["change"] for entry in json.loads((tmp_path / "out.json").read_text())["results"]] == ["addition"]

@@ -11,7 +11,7 @@ from triform.control import CONTROLLERS
 from triform.evaluation import EvaluateConfig, Scenario, evaluate, run_evaluation
 from triform.evaluation import scenario as scenario_module
 from triform.evaluation.evaluate import start_groups
-from triform.evaluation.scenario import batches, world_seeds
+from triform.evaluation.scenario import chunks, world_seeds
 from triform.simulation import starts
 from triform.types import ConfigurationError, TriformError
 
@@ -48,12 +48,15 @@ def test_nothing_is_written_unasked(tmp_path, console, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("profile", ["ideal", "hardware"])
-def test_results_do_not_depend_on_how_runs_are_batched(profile, monkeypatch):
-    config = EvaluateConfig(**(QUICK | {"profile": profile}))
+@pytest.mark.parametrize(
+    "changes", [{}, {"profile": "hardware"}, {"controller": "policy", "profile": "hardware", "arena": "room-6"}]
+)
+def test_results_depend_neither_on_chunks_nor_on_threads(changes, monkeypatch):
+    config = EvaluateConfig(**(QUICK | {"threads": 1} | changes))
     together = evaluate(config).runs
-    monkeypatch.setattr(scenario_module, "ROBOTS_AT_ONCE", 4)
-    assert [part.stop - part.start for part in batches(3, 4)] == [1, 1, 1]
+    monkeypatch.setattr(scenario_module, "ROBOTS_PER_CHUNK", 4)
+    assert [part.stop - part.start for part in chunks(3, 4)] == [1, 1, 1]
+    config = EvaluateConfig(**(QUICK | {"threads": 3} | changes))
     apart = evaluate(config).runs
     for name, column in together.items():
         np.testing.assert_array_equal(apart[name], column, err_msg=name)
@@ -65,9 +68,25 @@ def test_a_run_is_a_function_of_size_seed_and_index():
     np.testing.assert_array_equal(more["formation_error"][:3], few["formation_error"][3:])
 
 
-def test_batches_hold_at_least_one_run_and_cover_all():
-    assert [(part.start, part.stop) for part in batches(5, 3, 6)] == [(0, 2), (2, 4), (4, 5)]
-    assert [(part.start, part.stop) for part in batches(2, 3000)] == [(0, 1), (1, 2)]
+@pytest.mark.parametrize(("runs", "robots"), [(1, 1), (100, 5), (100, 13), (1, 10_000), (7, 300), (1000, 1)])
+def test_chunks_cover_all_runs_and_are_alike(runs, robots):
+    parts = chunks(runs, robots)
+    assert [run for part in parts for run in range(runs)[part]] == list(range(runs))
+    sizes = {part.stop - part.start for part in parts}
+    assert min(sizes) >= 1
+    assert max(sizes) - min(sizes) <= 1
+    assert max(sizes) == 1 or max(sizes) * robots <= 1.5 * scenario_module.ROBOTS_PER_CHUNK + robots
+
+
+def test_progress_adds_up_to_one_and_sizes_come_in_the_order_of_the_configuration():
+    shares, seen = [], []
+    config = EvaluateConfig(**(QUICK | {"robots": (4, 1, 3), "threads": 2}))
+    evaluate(config, shares.append, lambda found: seen.append([row["robots"] for row in found.results]))
+    assert sum(shares) == pytest.approx(1)
+    assert len(shares) == 3 * config.steps
+    assert seen[-1] == [4, 1, 3]
+    for sizes in seen:
+        assert sizes == [robots for robots in (4, 1, 3) if robots in sizes]
 
 
 def test_world_seeds_differ_between_runs_sizes_and_purposes():
@@ -120,9 +139,9 @@ def test_noise_of_a_run_from_a_file_depends_on_its_index_in_the_file_alone(tmp_p
 def test_runs_of_a_file_are_counted_in_the_order_of_their_numbers(tmp_path):
     rows = [(run, i, float(x), 0.0, 0.0) for run, places in ((40, (0, 1)), (7, (0, 1.5))) for i, x in enumerate(places)]
     np.save(tmp_path / "starts.npy", np.array(rows))
-    ((indices, poses),) = start_groups(EvaluateConfig(**(QUICK | {"starts": tmp_path / "starts.npy"})))
-    assert indices.tolist() == [0, 1]
-    assert poses[:, 1, 0].tolist() == [1.5, 1.0]
+    (group,) = start_groups(EvaluateConfig(**(QUICK | {"starts": tmp_path / "starts.npy"})))
+    assert group.indices.tolist() == [0, 1]
+    assert group.poses[:, 1, 0].tolist() == [1.5, 1.0]
 
 
 @pytest.mark.parametrize("robots", [1, 2])
@@ -144,7 +163,7 @@ def test_arena_hits_are_reported(tmp_path):
 def test_starts_that_the_arena_blocks_are_refused_before_anything_runs(monkeypatch):
     config = EvaluateConfig(**(QUICK | {"robots": (3, 25), "runs": 4, "arena": "room-6"}))
     monkeypatch.setattr(EvaluateConfig, "run", lambda *given, **options: pytest.fail("too late"))
-    monkeypatch.setattr(scenario_module, "ROBOTS_AT_ONCE", 25)
+    monkeypatch.setattr(scenario_module, "ROBOTS_PER_CHUNK", 25)
     with pytest.raises(ConfigurationError, match=r"^4 of 4 starts of 25 robots touch [^\n]*'room-6'"):
         evaluate(config)
 
@@ -166,7 +185,7 @@ def test_finished_sizes_survive_an_interruption(tmp_path, console, monkeypatch):
 
     monkeypatch.setattr(scenario_module, "make_controller", lambda *args, **options: Interrupted())
     with pytest.raises(KeyboardInterrupt):
-        run_evaluation(EvaluateConfig(json=tmp_path / "out.json", **QUICK), console)
+        run_evaluation(EvaluateConfig(json=tmp_path / "out.json", threads=1, **QUICK), console)
     written = json.loads((tmp_path / "out.json").read_text())
     assert [result["robots"] for result in written["results"]] == [3]
     assert len(pd.read_parquet(tmp_path / "out.parquet")) == 3
@@ -188,6 +207,8 @@ def test_bad_output_is_refused_before_anything_runs(tmp_path, console, monkeypat
         ({"distance": -1.0}, "distance is -1"),
         ({"duration": float("nan")}, "duration is nan"),
         ({"threads": 0}, "threads is 0"),
+        ({"engine": "steam"}, "no engine 'steam'"),
+        ({"ray_address": "auto"}, "the engine is local"),
     ],
 )
 def test_bad_settings_are_refused(changes, message):

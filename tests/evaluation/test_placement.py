@@ -8,7 +8,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from triform.evaluation import DynamicConfig, Scenario, run_changes
+from triform.evaluation import ChangedRuns, DynamicConfig, Scenario, run_changes
 from triform.evaluation.placement import blocked_starts, sample_clear_addition, walled_off
 from triform.evaluation.scenario import world_seeds
 from triform.simulation import Arena, World, get_arena, get_profile, sample_addition, starts
@@ -97,8 +97,9 @@ def test_teams_that_change_in_a_room_stay_in_it():
     config = DynamicConfig(
         controller="expert", robots=4, runs=12, seed=2, change_time=5.0, duration=10.0, arena="room-6"
     )
-    trajectory, table = run_changes(config, config.make_controller(), "addition")
+    trajectory, table = run_changes(config, config.make_controller(), ChangedRuns("addition", 0, 12))
     added = trajectory.positions[np.arange(12), 50, table["changed_robot"]]
     assert (np.abs(added) < 3).all()
+    config = DynamicConfig(controller="expert", robots=25, runs=12, arena="room-6")
     with pytest.raises(ConfigurationError, match="of 12 starts of 25 robots touch"):
-        run_changes(DynamicConfig(robots=25, runs=12, arena="room-6"), config.make_controller(), "removal")
+        run_changes(config, config.make_controller(), ChangedRuns("removal", 0, 12))

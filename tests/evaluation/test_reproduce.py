@@ -127,8 +127,8 @@ def test_defaults_are_not_said():
 def test_the_page_says_which_change_is_shown(formed, tmp_path, console, monkeypatch):
     run_changes = module.run_changes
 
-    def changed(config, controller, change, on_step=None):
-        trajectory, table = run_changes(config, controller, change, on_step)
+    def changed(config, controller, runs, on_step=None):
+        trajectory, table = run_changes(config, controller, runs, on_step)
         table["connected_start"][:] = True
         table["formed_before"][:] = [False, formed]
         return trajectory, table

@@ -34,7 +34,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for parameter in network.parameters():
             parameter.add_(0.2 * torch.randn_like(parameter))
     save_policy(folder, network, SPEC)
-    assert export_policy(folder, some_maps(50)) <= 1e-4
+    assert export_policy(folder, some_maps(50)).largest <= 1e-4
     return folder
 
 
@@ -103,7 +103,20 @@ def test_a_graph_that_differs_from_pytorch_is_not_kept(
 def test_every_shape_of_network_can_be_exported(change: dict, tmp_path: Path) -> None:
     spec = replace(SPEC, network=replace(SPEC.network, **change))
     save_policy(tmp_path / "policy", VisionTransformer(spec.network), spec)
-    assert export_policy(tmp_path / "policy", some_maps(20)) <= 1e-4
+    assert export_policy(tmp_path / "policy", some_maps(20)).largest <= 1e-4
+
+
+def test_eight_bits_give_nearly_the_same_commands(exported: Path, tmp_path: Path) -> None:
+    packed = pack(some_maps(200), 5)
+    difference = export_policy(exported, some_maps(100), "int8", tmp_path / "eight")
+    assert 1e-4 < difference.mean < 2e-2
+    assert read_spec(tmp_path / "eight").precision == "int8"
+    assert read_spec(exported).precision == "float32"
+    assert (tmp_path / "eight" / "model.safetensors").read_bytes() == (exported / "model.safetensors").read_bytes()
+    full, eight = PolicyRuntime(exported).commands(packed), PolicyRuntime(tmp_path / "eight").commands(packed)
+    assert 0 < np.abs(full - eight).mean() < 2e-2
+    with pytest.raises(ConfigurationError, match="precision is 'int4'"):
+        replace(SPEC, precision="int4")
 
 
 def test_no_maps_give_no_commands(exported: Path) -> None:

@@ -27,6 +27,7 @@ from triform.simulation import (
     noise_sigma,
     starts,
 )
+from triform.simulation.lidar import scan_rays
 from triform.types import ConfigurationError, ScanConfig
 
 Array = NDArray[np.float64]
@@ -227,9 +228,9 @@ def test_batched_equals_looped_and_rotation_does_not_matter() -> None:
     ranges = cast_scans(poses, active, ROBOMASTER_EP, Arena.open(), CONFIG)
     for b in range(4):
         out = np.empty((6, 450))
-        cast_world(
-            poses[b], active[b], 0.16, 0.12, False, np.zeros((0, 4)), np.zeros((0, 3)), -np.pi, 450, 0.02, 2.0, out
-        )
+        axes, nothing = np.empty((6, 2)), Arena.open()
+        scene = (ROBOMASTER_EP.body, nothing.walls, nothing.pillars, scan_rays(CONFIG))
+        cast_world(poses[b], active[b], *scene, axes, out)
         np.testing.assert_array_equal(out, ranges[b])
     turn, cos, sin = 1.1, np.cos(1.1), np.sin(1.1)
     turned = poses.copy()

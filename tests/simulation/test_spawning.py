@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist, squareform
 from scipy.stats import kstest
 
-from triform.simulation import load_starts, sample_addition, square_side, starts
+from triform.simulation import linked, load_starts, sample_addition, square_side, starts
 from triform.types import ConfigurationError, TriformError
 
 Array = NDArray[np.float64]
@@ -43,6 +46,35 @@ def test_large_teams_can_start() -> None:
     # They fill the square evenly: quarters hold about 50 each.
     quarters = np.histogram2d(poses[:, 0], poses[:, 1], bins=2)[0]
     assert quarters.min() > 30
+
+
+#: Digests of starts drawn before large teams were placed by cells; a start never changes.
+@pytest.mark.parametrize(
+    ("robots", "digest"),
+    [(5, "7164c18a7008"), (13, "eb25a6ee6ba2"), (25, "f3297ad72136"), (100, "76ab035b1d0c"), (900, "7b14bbd38b06")],
+)
+def test_starts_are_what_they_always_were(robots: int, digest: str) -> None:
+    assert hashlib.sha256(starts(robots, 2, 7).tobytes()).hexdigest()[:12] == digest
+
+
+@pytest.mark.parametrize("robots", [1001, 5000])
+def test_very_large_teams_keep_the_protocol_too(robots: int) -> None:
+    poses = starts(robots, 1, 3)[0]
+    tree = cKDTree(poses[:, :2])
+    assert not tree.query_pairs(np.nextafter(0.5, 0))
+    pairs = tree.query_pairs(2.0, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), pairs.T), (robots, robots))
+    assert connected_components(links, directed=False)[0] == 1
+    half = square_side(robots) / 2
+    assert np.abs(poses[:, :2]).max() <= half
+    for axis in range(2):
+        assert kstest(poses[:, axis], "uniform", (-half, 2 * half)).pvalue > 1e-3
+    np.testing.assert_array_equal(starts(robots, 2, 3)[0], poses)
+
+
+def test_a_large_team_in_a_wide_square_is_linked_all_the_same() -> None:
+    poses = starts(1100, 1, 1, side=120.0)[0]
+    assert linked(np.ascontiguousarray(poses[:, :2]), 2.0)
 
 
 def test_a_single_robot_is_uniform() -> None:

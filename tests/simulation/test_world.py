@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -29,7 +27,7 @@ from triform.simulation import (
 from triform.simulation import (
     world as world_module,
 )
-from triform.threads import threads_for
+from triform.threads import limit_threads, usable_threads
 from triform.types import ConfigurationError, ScanConfig, TriformError
 
 Array = NDArray[np.float64]
@@ -55,14 +53,13 @@ def _history(world: World, commands: Array, ticks: int = 8) -> list[Array]:
 
 
 @pytest.fixture
-def all_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """Let even small work use every thread."""
+def all_threads(monkeypatch: pytest.MonkeyPatch) -> int:
+    """Let even small work use every thread; return how many there are."""
     for module in (world_module, lidar_module):
         monkeypatch.setattr(module, "MOVING_RAYS_PER_THREAD", 1)
     monkeypatch.setattr(lidar_module, "RAYS_PER_THREAD", 1)
-    before = numba.get_num_threads()
-    yield before
-    numba.set_num_threads(before)
+    monkeypatch.setattr(world_module, "RECORDS_PER_THREAD", 1)
+    return usable_threads()
 
 
 @pytest.mark.parametrize("profile", [IDEAL, NOISY, NOISY_INSTANT], ids=["ideal", "rolling", "instant"])
@@ -71,8 +68,8 @@ def test_runs_do_not_depend_on_threads_or_batch(profile: Profile, all_threads: i
     arena = get_arena("pillars")
     reference = None
     for threads in range(1, all_threads + 1):
-        numba.set_num_threads(threads)
-        history = _history(World(poses, profile, arena, seeds=range(6)), commands)
+        with limit_threads(threads):
+            history = _history(World(poses, profile, arena, seeds=range(6)), commands)
         reference = reference or history
         for first, second in zip(reference, history, strict=True):
             np.testing.assert_array_equal(first, second)
@@ -129,7 +126,8 @@ def test_instant_scans_come_at_multiples_of_the_period() -> None:
     active = np.ones((2, 4), dtype=bool)
 
     def expected(time: float) -> Array:
-        return cast_scans(integrate(poses, commands, time), active, ROBOMASTER_EP, Arena.open(), IDEAL.lidar.scan)
+        scene = (ROBOMASTER_EP, Arena.open(), IDEAL.lidar.scan)
+        return cast_scans(integrate(poses, commands, time), active, *scene, dtype=np.float32)
 
     np.testing.assert_array_equal(world.observe().scans.ranges, expected(0.0))
     for duration, newest in [(0.08, 0.0), (0.02, 0.1), (0.09, 0.1), (0.25, 0.4)]:
@@ -137,7 +135,7 @@ def test_instant_scans_come_at_multiples_of_the_period() -> None:
         ranges, exact = world.observe().scans.ranges, expected(newest)
         finite = np.isfinite(exact)
         np.testing.assert_array_equal(np.isfinite(ranges), finite)
-        np.testing.assert_allclose(ranges[finite], exact[finite], atol=1e-9)
+        np.testing.assert_allclose(ranges[finite], exact[finite], atol=1e-6)
 
 
 def test_every_ray_of_a_rolling_turn_is_measured_at_its_own_time() -> None:
@@ -154,7 +152,7 @@ def test_every_ray_of_a_rolling_turn_is_measured_at_its_own_time() -> None:
     finite = np.isfinite(exact)
     assert finite.sum() > 50
     np.testing.assert_array_equal(np.isfinite(ranges), finite)
-    np.testing.assert_allclose(ranges[finite], exact[finite], atol=1e-9)
+    np.testing.assert_allclose(ranges[finite], exact[finite], atol=1e-6)
 
 
 def test_a_robot_turning_at_the_rate_of_its_lidar_sees_one_direction() -> None:
@@ -172,7 +170,7 @@ def test_latency_holds_scans_back() -> None:
     world.apply(still, 0.36)
     assert np.all(world.observe().scans.ranges == np.inf)
     world.apply(still, 0.01)
-    np.testing.assert_allclose(world.observe().scans.ranges, exact, atol=1e-9)
+    np.testing.assert_allclose(world.observe().scans.ranges, exact, atol=1e-6)
 
 
 def test_turns_finish_however_the_time_is_cut() -> None:
@@ -281,12 +279,3 @@ def test_coincident_and_single_robots_are_defined() -> None:
     alone = World(np.zeros((1, 1, 3)), IDEAL)
     assert np.all(alone.observe().scans.ranges == np.inf)
     assert alone.min_distance[0] == np.inf
-
-
-def test_threads_follow_the_work() -> None:
-    before = numba.get_num_threads()
-    with threads_for(10, 100):
-        assert numba.get_num_threads() == 1
-    with threads_for(10**9, 1):
-        assert numba.get_num_threads() == before
-    assert numba.get_num_threads() == before

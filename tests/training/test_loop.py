@@ -16,9 +16,10 @@ import torch
 from triform.dataset import QUICK, StateConfig, collect
 from triform.policy import NetworkConfig
 from triform.policy.vit import token_batch
-from triform.training import TrainConfig, get_preset, train
+from triform.training import Progress, TrainConfig, get_preset, train
 from triform.training.batches import FreshSource, StoredSource
-from triform.training.loop import Learner, Progress, learning_rate, make_optimizer
+from triform.training.flat import FlatParameters
+from triform.training.loop import Learner, learning_rate, make_optimizer
 from triform.types import ConfigurationError, TriformError
 
 TINY = TrainConfig(
@@ -66,15 +67,18 @@ def assert_same_end(a: Path, b: Path) -> None:
 
     def scalars(out: Path) -> list[dict]:
         lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-        return [{key: value for key, value in line.items() if key != "maps_per_second"} for line in lines]
+        return [
+            {key: value for key, value in line.items() if key not in ("maps_per_second", "share_waiting_for_data")}
+            for line in lines
+        ]
 
     assert scalars(a) == scalars(b)
 
 
-@pytest.mark.parametrize("optimizer", ["adamw", "rmsprop"])
-def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, optimizer: str) -> None:
-    config = replace(TINY, optimizer=optimizer, learning_rate=1e-3)
-    train(config, tmp_path / "whole")
+@pytest.mark.parametrize(("optimizer", "precision"), [("adamw", "bfloat16"), ("rmsprop", "medium")])
+def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, optimizer: str, precision: str) -> None:
+    config = replace(TINY, optimizer=optimizer, precision=precision, learning_rate=1e-3)
+    train(config, tmp_path / "whole", producers=3)
     with pytest.raises(KeyboardInterrupt):
         train(config, tmp_path / "parts", report=stop_at(17), save_seconds=0.0)
     train(config, tmp_path / "parts", resume=True)
@@ -112,6 +116,7 @@ def test_stored_demonstrations_resume_exactly_across_epochs(tmp_path: Path, data
 def test_algorithm_1_is_one_epoch_of_16_records(data: Path) -> None:
     source = StoredSource(get_preset("paper"), data)
     batches = [batch for _, batch in zip(range(source.steps), source.batches(0), strict=False)]
+    batches = [task() for task in batches]
     assert [len(batch.commands) for batch in batches[:-1]] == [112] * (source.steps - 1)
     assert sum(len(batch.commands) for batch in batches) == 7 * (3 * 20 + 75)
     assert set(batches[0].packed.counts) == {100}
@@ -119,7 +124,7 @@ def test_algorithm_1_is_one_epoch_of_16_records(data: Path) -> None:
 
 def test_another_teacher_labels_stored_states_anew(data: Path) -> None:
     stored, anew = (
-        next(StoredSource(replace(TINY, teacher=name), data).batches(0)) for name in ("expert", "expert-odd")
+        next(StoredSource(replace(TINY, teacher=name), data).batches(0))() for name in ("expert", "expert-odd")
     )
     np.testing.assert_array_equal(stored.packed.patches, anew.packed.patches)
     assert not np.allclose(stored.commands, anew.commands)
@@ -127,15 +132,16 @@ def test_another_teacher_labels_stored_states_anew(data: Path) -> None:
 
 def test_one_batch_can_be_learned_by_heart() -> None:
     config = replace(TINY, network=NetworkConfig(dim=32, depth=2, heads=4, mlp=64), batch_maps=24)
-    batch = next(FreshSource(config).batches(0))
+    batch = next(FreshSource(config).batches(0))()
     torch.manual_seed(0)
     learner = Learner(config)
-    optimizer = make_optimizer(config, learner)
+    parameters = FlatParameters(learner)
+    optimizer = make_optimizer(config, parameters)
     for step in range(400):
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(config, step, 400)
-        command, total = learner.losses(batch, config, torch.device("cpu"))
-        optimizer.zero_grad()
+        parameters.gradient.zero_()
+        command, total = learner.losses(batch.to(torch.device("cpu")), config, batch.maps, batch.valid.sum())
         total.backward()
         optimizer.step()
     assert float(command.detach()) < 0.05 * float(np.linalg.norm(batch.commands, axis=1).mean())
@@ -148,21 +154,21 @@ def test_the_auxiliary_loss_does_not_change_the_policy_that_is_saved() -> None:
 
 def test_fresh_batches_are_functions_of_seed_and_number() -> None:
     source = FreshSource(TINY)
-    third = [next(source.batches(3)), list(zip(range(4), source.batches(0), strict=False))[3][1]]
+    third = [next(source.batches(3))(), list(zip(range(4), source.batches(0), strict=False))[3][1]()]
     np.testing.assert_array_equal(third[0].commands, third[1].commands)
     np.testing.assert_array_equal(third[0].packed.patches, third[1].packed.patches)
-    other = next(FreshSource(replace(TINY, seed=2)).batches(3))
+    other = next(FreshSource(replace(TINY, seed=2)).batches(3))()
     assert not np.array_equal(other.packed.patches, third[0].packed.patches)
 
 
 def test_auxiliary_targets_tell_where_the_robot_is() -> None:
     config = replace(TINY, states=StateConfig(robots=(2,), moved=0.0, settled=0.0), batch_maps=200)
-    batch = next(FreshSource(config).batches(0))
-    assert batch.valid.mean() > 0.99
+    batch = next(FreshSource(config).batches(0))()
+    assert batch.valid[batch.packed.patches.any(1)].mean() > 0.99
     tokens = token_batch(batch.packed)
     assert tokens.patches.shape[0] == len(batch.targets)
     # With one other robot, its term of Eq. 8 is the whole command, up to the clip at 1 m/s.
-    owner = np.repeat(np.arange(len(batch.commands)), batch.packed.counts)
+    owner = np.repeat(np.arange(len(batch.packed.counts)), batch.packed.counts)
     np.testing.assert_allclose(batch.targets[batch.valid, :2], batch.commands[owner[batch.valid], :2], atol=1e-5)
     assert (batch.targets[batch.valid, 4] == 1).all()
 
@@ -193,13 +199,19 @@ def test_wrong_use_is_refused_and_loses_nothing(tmp_path: Path, data: Path) -> N
         get_preset("nothing")
     with pytest.raises(ConfigurationError, match="learning_rate"):
         replace(TINY, learning_rate=0.0)
+    with pytest.raises(ConfigurationError, match="precision"):
+        replace(TINY, precision="float16")
+    with pytest.raises(ConfigurationError, match="producers"):
+        train(TINY, tmp_path / "producers", producers=0)
+    with pytest.raises(TriformError, match="other settings"):
+        train(replace(TINY, precision="bfloat16"), tmp_path / "run", resume=True)
 
 
 def test_weights_that_are_not_finite_are_never_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     losses = Learner.losses
 
-    def poisoned(self: Learner, batch: object, config: TrainConfig, device: torch.device) -> tuple:
-        command, total = losses(self, batch, config, device)
+    def poisoned(self: Learner, *given: object) -> tuple:
+        command, total = losses(self, *given)
         return command, total * (float("nan") if len(list((tmp_path / "run").glob("state*"))) else 1.0)
 
     monkeypatch.setattr(Learner, "losses", poisoned)

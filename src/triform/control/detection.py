@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from triform.control._footprint_fit import fit_footprint
 from triform.control._segments import (
@@ -27,8 +27,11 @@ from triform.control._segments import (
     span,
     split_index,
 )
+from triform.threads import in_parts
 from triform.types import FloatArray, IntArray, Scan, require
 
+#: Scans that keep a thread busy for a few milliseconds.
+SCANS_PER_THREAD = 100
 #: RoboMaster EP: length and width [m].
 ROBOMASTER_EP_SIZE = (0.320, 0.240)
 
@@ -199,9 +202,9 @@ def most_robots(rays):  # type: ignore[no-untyped-def]
     return rays // MIN_POINTS
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _detect_scans(ranges, footprint, directions, angle_min, range_max, centres, counts):  # type: ignore[no-untyped-def]
-    for s in prange(ranges.shape[0]):
+@njit(cache=True, nogil=True)
+def _detect_scans(ranges, footprint, directions, angle_min, range_max, centres, counts, first, last):  # type: ignore[no-untyped-def]
+    for s in range(first, last):
         counts[s] = detect_into(ranges[s], footprint, directions, angle_min, range_max, centres[s])
 
 
@@ -249,10 +252,16 @@ def detect_robots(
         ConfigurationError: If a size is not positive and finite.
     """
     shape = kernel_footprint(footprint)
-    ranges = np.ascontiguousarray(scan.ranges, dtype=np.float64).reshape(-1, scan.config.rays)
+    ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
     centres = np.full((len(ranges), most_robots(scan.config.rays), 2), np.nan)
     counts = np.zeros(len(ranges), dtype=np.int64)
-    _detect_scans(ranges, shape, ray_directions(scan), scan.config.angle_min, scan.config.range_max, centres, counts)
+    directions, config = ray_directions(scan), scan.config
+    in_parts(
+        lambda first, last: _detect_scans(
+            ranges, shape, directions, config.angle_min, config.range_max, centres, counts, first, last
+        ),
+        len(ranges), len(ranges), SCANS_PER_THREAD,
+    )  # fmt: skip
     most = int(counts.max(initial=0))
     leading = scan.ranges.shape[:-1]
     return centres[:, :most].reshape(*leading, most, 2).copy(), counts.reshape(leading)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from triform.geometry import gabriel_into
-from triform.geometry.gabriel import PAIRS_PER_THREAD
-from triform.threads import threads_for
+from triform.geometry._gabriel_kernels import list_neighbours, make_room
+from triform.geometry.cells import SMALL_TEAM, make_cells
+from triform.geometry.gabriel import ROBOTS_PER_THREAD
+from triform.threads import in_parts, usable_threads
 from triform.types import SENSING_RANGE, ConfigurationError, FloatArray, PrivilegedView, TriformError, require
 
 #: A RoboMaster EP whose centre is this far away still shows its near side to a LiDAR of 2 m [m].
@@ -50,12 +53,37 @@ def expert_variant(name: str) -> ExpertVariant:
 
 
 @njit(cache=True, nogil=True)
+def _pull(poses, i, j, distance, gain, odd_gain):  # type: ignore[no-untyped-def]
+    """What the edge to robot j adds to the velocity of robot i in the world frame [m/s]."""
+    d_x = poses[j, 0] - poses[i, 0]
+    d_y = poses[j, 1] - poses[i, 1]
+    length = np.sqrt(d_x * d_x + d_y * d_y)
+    if length == 0.0:
+        return 0.0, 0.0
+    strain = (length - distance) / length
+    return strain * (gain * d_x - odd_gain * d_y), strain * (gain * d_y + odd_gain * d_x)
+
+
+@njit(cache=True, nogil=True)
+def _write_twist(poses, i, v_x, v_y, max_speed, out):  # type: ignore[no-untyped-def]
+    """Write the body twist of robot i, ``out[i]``, for a velocity in the world frame."""
+    speed = np.sqrt(v_x * v_x + v_y * v_y)
+    if speed > max_speed:
+        v_x *= max_speed / speed
+        v_y *= max_speed / speed
+    cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+    out[i, 0] = cos * v_x + sin * v_y
+    out[i, 1] = -sin * v_x + cos * v_y
+    out[i, 2] = 0.0
+
+
+@njit(cache=True, nogil=True)
 def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, out):  # type: ignore[no-untyped-def]
-    """Write the expert's body twists of one world.
+    """Write the expert's body twists of one small team; allocates nothing for up to ``SMALL_TEAM`` robots.
 
     Args:
         poses: Poses in the world frame [m, m, rad], shape (N, 3).
-        active: Robots that exist, shape (N,).
+        active: Robots that exist, shape (N,); the twists of others are zero.
         distance: Prescribed neighbour distance d* [m].
         gain: Spring gain [1/s].
         odd_gain: Gain of the odd spring [1/s].
@@ -65,35 +93,56 @@ def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_rang
         out: Body twists to fill [m/s, m/s, rad/s], shape (N, 3).
     """
     gabriel_into(poses, active, sensing_range, graph)
-    robots = poses.shape[0]
-    for i in range(robots):
-        v_x, v_y = 0.0, 0.0
-        if active[i]:
-            for j in range(robots):
+    for i in range(active.shape[0]):
+        if not active[i]:
+            out[i] = 0.0
+        else:
+            v_x = v_y = 0.0
+            for j in range(active.shape[0]):
                 if graph[i, j]:
-                    d_x = poses[j, 0] - poses[i, 0]
-                    d_y = poses[j, 1] - poses[i, 1]
-                    length = np.sqrt(d_x * d_x + d_y * d_y)
-                    if length > 0.0:
-                        strain = (length - distance) / length
-                        v_x += strain * (gain * d_x - odd_gain * d_y)
-                        v_y += strain * (gain * d_y + odd_gain * d_x)
-            speed = np.sqrt(v_x * v_x + v_y * v_y)
-            if speed > max_speed:
-                v_x *= max_speed / speed
-                v_y *= max_speed / speed
-        cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-        out[i, 0] = cos * v_x + sin * v_y
-        out[i, 1] = -sin * v_x + cos * v_y
-        out[i, 2] = 0.0
+                    pull_x, pull_y = _pull(poses, i, j, distance, gain, odd_gain)
+                    v_x += pull_x
+                    v_y += pull_y
+            _write_twist(poses, i, v_x, v_y, max_speed, out)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _expert_worlds(poses, active, distance, gain, odd_gain, max_speed, sensing_range, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def _expert_cells(world, poses, distance, gain, odd_gain, max_speed, sensing_range, out, first, last):  # type: ignore[no-untyped-def]
+    """Write the body twists of the robots in the parts ``first <= cell < last`` that are cells."""
+    robots, _, parts, _ = world
+    limit = sensing_range * sensing_range
+    room, ends = make_room(robots.shape[0]), np.empty(robots.shape[0] + 1, dtype=np.int64)
+    listed = np.empty((64, 1), dtype=np.int64)
+    for cell in range(first, last):
+        if parts[cell, 2] > 0:
+            continue
+        listed = list_neighbours(world, cell, limit, room, listed, ends)
+        for own in range(parts[cell, 0], parts[cell, 1]):
+            i, k = robots[own], own - parts[cell, 0]
+            v_x = v_y = 0.0
+            # In growing order of the robots, as in ``expert_into``, so that both round alike.
+            for neighbour in range(ends[k], ends[k + 1]):
+                pull_x, pull_y = _pull(poses, i, listed[neighbour, 0], distance, gain, odd_gain)
+                v_x += pull_x
+                v_y += pull_y
+            _write_twist(poses, i, v_x, v_y, max_speed, out)
+
+
+@njit(cache=True, nogil=True)
+def expert_worlds(poses, active, distance, gain, odd_gain, max_speed, sensing_range, out, first, last):  # type: ignore[no-untyped-def]
+    """Write the expert's body twists of the worlds ``first <= b < last``; arguments as ``expert_into``, (B, ...)."""
     robots = poses.shape[1]
-    for b in prange(poses.shape[0]):
-        graph = np.empty((robots, robots), dtype=np.bool_)
-        expert_into(poses[b], active[b], distance, gain, odd_gain, max_speed, sensing_range, graph, out[b])
+    small = robots <= SMALL_TEAM
+    graph = np.empty((robots, robots) if small else (0, 0), dtype=np.bool_)
+    for b in range(first, last):
+        if small:
+            expert_into(poses[b], active[b], distance, gain, odd_gain, max_speed, sensing_range, graph, out[b])
+        else:
+            out[b] = 0.0
+            world = make_cells(poses[b], active[b])
+            _expert_cells(
+                world, poses[b], distance, gain, odd_gain, max_speed, sensing_range, out[b], 0, world[2].shape[0]
+            )
 
 
 class Expert:
@@ -178,17 +227,20 @@ class Expert:
             raise TriformError("the expert needs true poses, and this team cannot offer them")
         if not np.isfinite(view.poses[view.active]).all():
             raise TriformError("the expert needs finite poses of all active robots")
-        out = np.empty_like(view.poses)
-        with threads_for(view.active.size * view.active.shape[1], PAIRS_PER_THREAD):
-            _expert_worlds(
-                np.ascontiguousarray(view.poses),
-                np.ascontiguousarray(view.active),
-                self.distance,
-                self.gain,
-                self.odd_gain,
-                self.max_speed,
-                self.sensing_range,
-                out,
-            )
-        out[~view.active] = 0.0
+        poses, active = np.ascontiguousarray(view.poses, dtype=np.float64), np.ascontiguousarray(view.active)
+        law = (self.distance, self.gain, self.odd_gain, self.max_speed, self.sensing_range)
+        out = np.zeros(poses.shape)
+        worlds, robots = active.shape
+        if robots <= SMALL_TEAM or worlds >= usable_threads():
+            in_parts(
+                lambda first, last: expert_worlds(poses, active, *law, out, first, last),
+                worlds, active.size, ROBOTS_PER_THREAD,
+            )  # fmt: skip
+            return out
+        for b in range(worlds):
+            world = make_cells(poses[b], active[b])
+            in_parts(
+                partial(_expert_cells, world, poses[b], *law, out[b]),
+                len(world[2]), robots, ROBOTS_PER_THREAD,
+            )  # fmt: skip
         return out

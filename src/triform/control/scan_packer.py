@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from triform.perception import occupied_into
+from triform.perception import map_room, occupied_into
 from triform.policy import Keep, PackedMaps, append_patches
 from triform.types import MapConfig, ScanConfig
 
@@ -42,7 +42,7 @@ def _pack_scans(  # type: ignore[no-untyped-def]
     token = 0
     for m in range(ranges.shape[0]):
         count = occupied_into(ranges[m], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells)
-        after = append_patches(cells, count, grid.shape[0], patch, keep_all, slots, patches, positions, token)
+        after = append_patches(cells, count, grid.shape[0] - 2, patch, keep_all, slots, patches, positions, token)
         counts[m] = after - token
         token = after
     return token
@@ -53,9 +53,7 @@ class _Room:
 
     def __init__(self, size: int, patch: int) -> None:
         per_map = (size // patch) ** 2
-        self.grid = np.zeros((size, size), dtype=np.uint8)
-        self.scratch = np.empty((2, size * size), dtype=np.int32)
-        self.cells = np.empty(size * size, dtype=np.int32)
+        self.grid, self.scratch, self.cells = map_room(size)
         self.slots = np.full(per_map, -1, dtype=np.int32)
         # Pages of these that no patch reaches are never touched.
         self.patches = np.empty((SCANS_AT_ONCE * per_map, patch**2), dtype=np.uint8)

@@ -9,16 +9,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from triform.control.detection import (
     ROBOMASTER_EP_SIZE,
+    SCANS_PER_THREAD,
     detect_into,
     kernel_footprint,
     most_robots,
     ray_directions,
 )
 from triform.geometry.gabriel import gabriel_into
+from triform.threads import in_parts
 from triform.types import FloatArray, View, require
 
 
@@ -42,15 +44,17 @@ def _spring_command(centres, count, distance, gain, max_speed, out):  # type: ig
     out[0], out[1], out[2] = scale * u_x, scale * u_y, 0.0
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _command_worlds(ranges, active, footprint, directions, angle_min, range_max, distance, gain, max_speed, out):  # type: ignore[no-untyped-def]
-    for b in prange(ranges.shape[0]):
-        centres = np.empty((most_robots(ranges.shape[2]), 2))
-        for i in range(ranges.shape[1]):
-            out[b, i] = 0.0
-            if active[b, i]:
-                count = detect_into(ranges[b, i], footprint, directions, angle_min, range_max, centres)
-                _spring_command(centres, count, distance, gain, max_speed, out[b, i])
+@njit(cache=True, nogil=True)
+def _command_robots(  # type: ignore[no-untyped-def]
+    ranges, active, footprint, directions, angle_min, range_max, distance, gain, max_speed, out, first, last
+):
+    """Write the body twists (M, 3) of the robots ``first <= m < last`` from their scans (M, R)."""
+    centres = np.empty((most_robots(ranges.shape[1]), 2))
+    for m in range(first, last):
+        out[m] = 0.0
+        if active[m]:
+            count = detect_into(ranges[m], footprint, directions, angle_min, range_max, centres)
+            _spring_command(centres, count, distance, gain, max_speed, out[m])
 
 
 class ScanPipeline:
@@ -104,10 +108,15 @@ class ScanPipeline:
     def command(self, view: View) -> FloatArray:
         """Return body twists, shape (B, N, 3)."""
         scan = view.scans
-        ranges = np.ascontiguousarray(scan.ranges, dtype=np.float64)
-        out = np.empty((*view.active.shape, 3))
-        _command_worlds(
-            ranges, np.ascontiguousarray(view.active), self._footprint, ray_directions(scan),
-            scan.config.angle_min, scan.config.range_max, *self._law, out,
+        ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
+        active = view.active.reshape(-1)
+        directions, config = ray_directions(scan), scan.config
+        out = np.empty((len(ranges), 3))
+        in_parts(
+            lambda first, last: _command_robots(
+                ranges, active, self._footprint, directions, config.angle_min, config.range_max, *self._law, out,
+                first, last,
+            ),
+            len(ranges), len(ranges), SCANS_PER_THREAD,
         )  # fmt: skip
-        return out
+        return out.reshape(*view.active.shape, 3)

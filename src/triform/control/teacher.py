@@ -5,19 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from triform.control.expert import ExpertVariant, expert_into, expert_variant
+from triform.control.expert import ExpertVariant, expert_variant, expert_worlds
 from triform.types import FloatArray, require
-
-
-@njit(cache=True, nogil=True)
-def _label(poses, distance, gain, odd_gain, max_speed, sensing_range, out):  # type: ignore[no-untyped-def]
-    robots = poses.shape[1]
-    active = np.ones(robots, dtype=np.bool_)
-    graph = np.empty((robots, robots), dtype=np.bool_)
-    for b in range(poses.shape[0]):
-        expert_into(poses[b], active, distance, gain, odd_gain, max_speed, sensing_range, graph, out[b])
 
 
 @dataclass(frozen=True)
@@ -51,6 +41,8 @@ class Teacher:
         """Body twists (B, N, 3) for poses (B, N, 3); on one thread, with the interpreter's lock released."""
         given = np.ascontiguousarray(poses, dtype=np.float64)
         out = np.empty_like(given)
-        variant = self.variant
-        _label(given, self.distance, self.gain, variant.odd_gain, self.max_speed, variant.sensing_range, out)
+        expert_worlds(
+            given, np.ones(given.shape[:2], dtype=np.bool_), self.distance, self.gain, self.variant.odd_gain,
+            self.max_speed, self.variant.sensing_range, out, 0, len(given),
+        )  # fmt: skip
         return out

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import replace
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from triform.dataset.configuration import CollectionConfig
@@ -26,31 +24,33 @@ from triform.dataset.records import Records
 from triform.dataset.sensing import sense
 from triform.dataset.shards import encode
 from triform.dataset.verify import check_shard
+from triform.engines import Engine, LocalEngine, Report
 from triform.files import cannot_write, exclusive, make_folder, remove_temporaries, sha256, write_atomically
-from triform.types import TriformError, require
+from triform.types import TriformError
 
 #: Called with the maps finished so far and all maps.
 Progress = Callable[[int, int], None]
 
 
-class _StoppedError(Exception):
-    """Another shard failed or the user interrupts; this one is given up."""
-
-
 def collect(
-    out: Path, config: CollectionConfig, workers: int | None = None, progress: Progress | None = None
+    out: Path,
+    config: CollectionConfig,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    engine: Engine | None = None,
 ) -> Manifest:
     """Collect demonstrations into a folder, or finish a collection that was stopped there.
 
     Every shard is a function of the configuration and its index alone. It is written under a temporary name,
     synced, renamed, and then entered into the manifest, so whatever the moment at which the process is killed,
-    the same call finishes the data set to the same bytes, with any number of workers.
+    the same call finishes the data set to the same bytes, with any engine and any number of workers.
 
     Args:
         out: Folder of the data set; created if need be.
         config: What to collect, for example ``PRESETS["paper"]``.
         workers: Shards collected side by side, one thread each; all usable processors by default.
-        progress: Called from this thread whenever a shard is finished, and once at the start.
+        progress: Called from this thread whenever some maps are finished, and once at the start.
+        engine: Where shards are collected; ``workers`` threads of this process if omitted. This process writes them.
 
     Returns:
         The manifest of the complete data set.
@@ -61,8 +61,7 @@ def collect(
             stays and can be continued.
         ConfigurationError: If ``workers`` is not positive.
     """
-    threads = int(numba.config.NUMBA_NUM_THREADS) if workers is None else workers
-    require(threads >= 1, f"workers is {threads}; at least 1 is needed")
+    engine = LocalEngine(workers) if engine is None else engine
     folder = Path(out)
     _prepare_folder(folder)
     with exclusive(folder):
@@ -79,7 +78,7 @@ def collect(
         finished = tuple(shard for shard in manifest.shards if shard.index not in missing)
         manifest = replace(manifest, shards=finished)
         manifest.save(folder)
-        return _collect_shards(folder, manifest, missing, threads, progress)
+        return _collect_shards(folder, manifest, missing, engine, progress)
 
 
 def _prepare_folder(folder: Path) -> None:
@@ -121,49 +120,57 @@ def _missing_shards(folder: Path, manifest: Manifest) -> list[int]:
 
 
 def _collect_shards(
-    folder: Path, manifest: Manifest, missing: list[int], workers: int, progress: Progress | None
+    folder: Path, manifest: Manifest, missing: list[int], engine: Engine, progress: Progress | None
 ) -> Manifest:
-    robots, total = manifest.config.robots, manifest.config.maps
+    done, total = sum(shard.records for shard in manifest.shards) * manifest.config.robots, manifest.config.maps
 
-    def report() -> None:
+    def advance(maps: float) -> None:
+        nonlocal done
+        done += int(maps)
         if progress is not None:
-            progress(robots * sum(shard.records for shard in manifest.shards), total)
+            progress(done, total)
 
-    report()
-    stop = threading.Event()
-    pool = ThreadPoolExecutor(workers, thread_name_prefix="collect")
-    try:
-        pending = [pool.submit(_collect_shard, folder, manifest.config, index, stop) for index in missing]
-        for future in as_completed(pending):
-            manifest = manifest.with_shard(future.result())
+    advance(0)
+    with closing(engine.run(CollectShard(manifest.config), missing, advance)) as collected:
+        for _, (shard, data) in collected:
+            write_atomically(shard_path(folder, shard.index), data)
+            manifest = manifest.with_shard(shard)
             manifest.save(folder)
-            report()
-    finally:
-        stop.set()
-        pool.shutdown(cancel_futures=True)
     return manifest
 
 
-def _collect_shard(folder: Path, config: CollectionConfig, index: int, stop: threading.Event) -> Shard:
-    groups = list(_groups(config, index, stop))
-    data = encode(groups, config)
-    write_atomically(shard_path(folder, index), data)
-    return Shard(
-        index=index,
-        records=sum(len(group) for group in groups),
-        cells=sum(len(group.cells) for group in groups),
-        bytes=len(data),
-        sha256=sha256(data),
-    )
+@dataclass(frozen=True)
+class CollectShard:
+    """The task of a collection: make one shard, in memory.
+
+    Attributes:
+        config: What is collected.
+    """
+
+    config: CollectionConfig
+
+    def __call__(self, index: int, report: Report) -> tuple[Shard, bytes]:
+        """The shard and its file; reports maps."""
+        groups = []
+        for group in _groups(self.config, index):
+            groups.append(group)
+            report(len(group) * self.config.robots)
+        data = encode(groups, self.config)
+        shard = Shard(
+            index=index,
+            records=sum(len(group) for group in groups),
+            cells=sum(len(group.cells) for group in groups),
+            bytes=len(data),
+            sha256=sha256(data),
+        )
+        return shard, data
 
 
-def _groups(config: CollectionConfig, index: int, stop: threading.Event) -> Iterator[Records]:
+def _groups(config: CollectionConfig, index: int) -> Iterator[Records]:
     """The records of a shard, one row group after the other."""
     runs = config.shard_range(index)
     for run, (poses, commands) in zip(runs, demonstrate(config, runs), strict=True):
         for steps in config.groups(run):
-            if stop.is_set():
-                raise _StoppedError
             part = np.ascontiguousarray(poses[steps.start : steps.stop])
             cells, offsets = sense(part, config.footprint, config.scan, config.map)
             yield Records(

@@ -13,9 +13,9 @@ from numba import njit
 
 from triform.control import Teacher, expert_into
 from triform.dataset.neighbours import neighbours_into
-from triform.perception import occupied_into
+from triform.perception import map_room, occupied_into
 from triform.simulation import linked
-from triform.simulation.lidar import cast_world
+from triform.simulation.lidar import cast_world, scan_rays
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.types import SENSING_RANGE, FloatArray, MapArray, MapConfig, ScanConfig, TriformError, require
 
@@ -141,14 +141,8 @@ def _draw_records(  # type: ignore[no-untyped-def]
     odd_gain,
     max_speed,
     sensing_range,
-    half_length,
-    half_width,
-    is_circle,
-    angle_min,
-    cos_rays,
-    sin_rays,
-    range_min,
-    range_max,
+    body,
+    scan,
     cell,
     min_cells,
     max_cells,
@@ -157,14 +151,14 @@ def _draw_records(  # type: ignore[no-untyped-def]
     neighbours,
 ):
     records, robots, size = maps.shape[0], maps.shape[1], maps.shape[2]
-    rays = cos_rays.shape[0]
+    _, _, range_max, cos_rays, sin_rays = scan
     poses = np.empty((robots, 3))
     twists = np.empty((robots, 3))
     active = np.ones(robots, dtype=np.bool_)
     graph = np.empty((robots, robots), dtype=np.bool_)
-    ranges = np.empty((robots, rays))
-    scratch = np.empty((2, size * size), dtype=np.int32)
-    cells = np.empty(size * size, dtype=np.int32)
+    ranges = np.empty((robots, cos_rays.shape[0]))
+    axes = np.empty((robots, 2))
+    grid, scratch, cells = map_room(size)
     walls = np.empty((0, 4))
     pillars = np.empty((0, 3))
     for e in range(records):
@@ -185,23 +179,10 @@ def _draw_records(  # type: ignore[no-untyped-def]
                 poses[i, 1] += jitter * rng.standard_normal()
         expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, twists)
         commands[e] = twists
-        cast_world(
-            poses,
-            active,
-            half_length,
-            half_width,
-            is_circle,
-            walls,
-            pillars,
-            angle_min,
-            rays,
-            range_min,
-            range_max,
-            ranges,
-        )
+        cast_world(poses, active, body, walls, pillars, scan, axes, ranges)
         for i in range(robots):
             kept = occupied_into(
-                ranges[i], cos_rays, sin_rays, range_max, cell, min_cells, max_cells, maps[e, i], scratch, cells
+                ranges[i], cos_rays, sin_rays, range_max, cell, min_cells, max_cells, grid, scratch, cells
             )
             for q in range(kept):
                 maps[e, i, cells[q] // size, cells[q] % size] = 1
@@ -238,7 +219,6 @@ def draw_fresh(
     batch_maps = np.zeros((records, robots, size, size), dtype=np.uint8)
     commands = np.empty((records, robots, 3))
     neighbours = np.empty((records, robots, robots - 1, 3))
-    angles = scan.angles
     placed = _draw_records(
         rng,
         states.side,
@@ -255,14 +235,8 @@ def draw_fresh(
         teacher.variant.odd_gain,
         teacher.max_speed,
         teacher.variant.sensing_range,
-        footprint.length / 2,
-        footprint.width / 2,
-        footprint.shape == "circle",
-        scan.angle_min,
-        np.cos(angles),
-        np.sin(angles),
-        scan.range_min,
-        scan.range_max,
+        footprint.body,
+        scan_rays(scan),
         map_config.cell,
         map_config.min_cells,
         map_config.max_cells,

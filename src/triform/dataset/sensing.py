@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from triform.perception import occupied_into
+from triform.perception import map_room, occupied_into
 from triform.simulation import Arena, Footprint
-from triform.simulation.lidar import cast_world
+from triform.simulation.lidar import cast_world, scan_rays
 from triform.types import FloatArray, IntArray, MapConfig, ScanConfig
 
 #: A return marks a block of 3 x 3 cells.
@@ -18,16 +18,10 @@ _CELLS_PER_RAY = 9
 @njit(cache=True, nogil=True)
 def _sense_into(  # type: ignore[no-untyped-def]
     poses,
-    half_length,
-    half_width,
-    is_circle,
+    body,
     walls,
     pillars,
-    angle_min,
-    range_min,
-    range_max,
-    cos,
-    sin,
+    scan,
     size,
     cell,
     min_cells,
@@ -36,29 +30,16 @@ def _sense_into(  # type: ignore[no-untyped-def]
     offsets,
 ):
     """Fill ``cells`` and ``offsets``, as in ``Records``, from poses (B, N, 3)."""
+    _, _, range_max, cos, sin = scan
     robots, rays = poses.shape[1], cos.shape[0]
+    axes = np.empty((robots, 2))
     active = np.ones(robots, dtype=np.bool_)
     ranges = np.empty((robots, rays))
-    grid = np.zeros((size, size), dtype=np.uint8)
-    scratch = np.empty((2, size * size), dtype=np.int32)
-    found = np.empty(size * size, dtype=np.int32)
+    grid, scratch, found = map_room(size)
     filled = 0
     offsets[0] = 0
     for b in range(poses.shape[0]):
-        cast_world(
-            poses[b],
-            active,
-            half_length,
-            half_width,
-            is_circle,
-            walls,
-            pillars,
-            angle_min,
-            rays,
-            range_min,
-            range_max,
-            ranges,
-        )
+        cast_world(poses[b], active, body, walls, pillars, scan, axes, ranges)
         for i in range(robots):
             count = occupied_into(ranges[i], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, found)
             found[:count].sort()
@@ -96,16 +77,10 @@ def sense(
     arena = Arena.open()
     _sense_into(
         np.ascontiguousarray(poses),
-        footprint.half_length,
-        footprint.half_width,
-        footprint.is_circle,
+        footprint.body,
         arena.walls,
         arena.pillars,
-        float(scan.angle_min),
-        float(scan.range_min),
-        float(scan.range_max),
-        np.cos(scan.angles),
-        np.sin(scan.angles),
+        scan_rays(scan),
         map_config.size,
         float(map_config.cell),
         map_config.min_cells,

@@ -4,13 +4,14 @@ The modules that draw (``figures``, ``animation``, ``reproduce``, ``demo``) need
 by their own names, so that evaluating needs none of it.
 """
 
-from triform.evaluation.dynamic import DynamicConfig, run_changes, run_dynamic, summarise_changes
+from triform.evaluation.dynamic import ChangedRuns, DynamicConfig, run_changes, run_dynamic, summarise_changes
 from triform.evaluation.evaluate import EvaluateConfig, Evaluation, evaluate, run_evaluation
 from triform.evaluation.metrics import RunTable, converge_time, measure, summarise, trailing_mean
 from triform.evaluation.rollout import Trajectory, control, rollout
 from triform.evaluation.scenario import Scenario
 
 __all__ = [
+    "ChangedRuns",
     "DynamicConfig",
     "EvaluateConfig",
     "Evaluation",

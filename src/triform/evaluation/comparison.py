@@ -45,7 +45,7 @@ class Comparison:
         waiting, skipped = [], {}
         for contestant in config.contestants:
             try:
-                make_controller(contestant.controller, config.distance, contestant.weights, config.threads)
+                make_controller(contestant.controller, config.distance, contestant.weights)
                 waiting.append(contestant)
             except ConfigurationError as error:
                 skipped[contestant.label] = str(error)

@@ -17,6 +17,7 @@ from triform.evaluation.scenario import Scenario, world_seeds
 from triform.evaluation.style import save_figure
 from triform.evaluation.tables import progress_bar, rich_table, summary_rows
 from triform.simulation import starts
+from triform.threads import limit_threads
 from triform.types import require
 
 
@@ -61,7 +62,8 @@ def run_demo(config: DemoConfig, console: Console) -> list[Path]:
     began = time.perf_counter()
     poses = starts(config.robots, 1, config.seed, first=config.index)
     seeds = world_seeds(config.robots, config.seed, [config.index])
-    with progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps) as advance:
+    bar = progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps)
+    with limit_threads(config.threads), bar as advance:
         trajectory, world = config.run(poses, seeds, controller, advance)
     table = config.measure(trajectory, world)
     result = {"robots": config.robots, **summarise(table)}

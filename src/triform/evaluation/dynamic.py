@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from rich.console import Console
 
+from triform.engines import Engine, Report
+from triform.evaluation.bulk import PortableController, by_group
 from triform.evaluation.evaluate import describe
 from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure, select, summarise
 from triform.evaluation.output import prepare_file, write_json
 from triform.evaluation.placement import sample_clear_addition
 from triform.evaluation.rollout import Trajectory, rollout
-from triform.evaluation.scenario import Scenario, batches, world_seeds
+from triform.evaluation.scenario import BulkScenario, chunks, world_seeds
 from triform.evaluation.tables import format_value, progress_bar, require_parquet, rich_table, write_parquet
 from triform.simulation import World, starts
+from triform.threads import limit_threads
 from triform.types import Controller, IntArray, PrivilegedView, require
 
 Change = Literal["addition", "removal"]
@@ -32,7 +36,7 @@ _WORLD_STREAM, _CHANGE_STREAM = 2, 3
 
 
 @dataclass(frozen=True)
-class DynamicConfig(Scenario):
+class DynamicConfig(BulkScenario):
     """Settings of the dynamic-team experiment.
 
     Attributes:
@@ -63,13 +67,45 @@ class DynamicConfig(Scenario):
         )
 
 
+@dataclass(frozen=True)
+class ChangedRuns:
+    """Some runs in which a robot comes, or in which one goes.
+
+    Attributes:
+        change: Whether a robot comes or goes.
+        first: Index of the first run.
+        count: How many runs.
+    """
+
+    change: Change
+    first: int
+    count: int
+
+
+@dataclass(frozen=True)
+class MeasureChanges:
+    """The task of the dynamic-team experiment.
+
+    Attributes:
+        config: What to run.
+        portable: Its controller.
+    """
+
+    config: DynamicConfig
+    portable: PortableController
+
+    def __call__(self, runs: ChangedRuns, report: Report) -> RunTable:
+        """One row per run; reports robots before the change times control periods."""
+        return run_changes(self.config, self.portable.controller, runs, report)[1]
+
+
 def run_changes(
     config: DynamicConfig,
     controller: Controller[PrivilegedView],
-    change: Change,
+    runs: ChangedRuns,
     on_step: Callable[[float], None] | None = None,
 ) -> tuple[Trajectory, RunTable]:
-    """Run teams in which one robot comes or goes at ``change_time``.
+    """Run teams in which one robot comes or goes at ``change_time``, all at once.
 
     A robot that comes appears anywhere at least 0.5 m from everybody and within 2 m of somebody, clear of walls and
     pillars and in the same room; the one that goes is any, with equal probability.
@@ -77,7 +113,7 @@ def run_changes(
     Args:
         config: What to run.
         controller: Its controller.
-        change: Whether a robot comes or goes.
+        runs: Which runs; each is a function of team size, seed and index alone.
         on_step: Called with the number of control periods times robots that were just done, for progress.
 
     Returns:
@@ -87,23 +123,45 @@ def run_changes(
     Raises:
         TriformError: The arena has no place for a start or for a robot that joins.
     """
-    poses = starts(config.robots, config.runs, config.seed)
-    config.check_starts(poses)
-    seeds = world_seeds(config.robots, config.seed, range(config.runs), _WORLD_STREAM)
-    draws = world_seeds(config.robots, config.seed, range(config.runs), _CHANGE_STREAM)
-    trajectories, tables = [], []
-    for batch in batches(config.runs, config.robots):
-        work = (batch.stop - batch.start) * config.robots
-        step = (lambda work=work: on_step(work)) if on_step is not None else None
-        world = config.make_world(poses[batch], seeds[batch])
-        before = rollout(world, controller, config.change_time, step)
-        changed = change_teams(world, change, draws[batch])
-        after = rollout(world, controller, config.duration - config.change_time, step)
-        trajectories.append(before.then(after))
-        tables.append(_measure_change(config, before, after, world) | {"changed_robot": changed})
-    table = concatenate(tables)
-    table |= {"run": np.arange(config.runs), "change": np.array([change] * config.runs)}
-    return _join(trajectories), table
+    indices = range(runs.first, runs.first + runs.count)
+    poses = starts(config.robots, runs.count, config.seed, first=runs.first)
+    world = config.make_world(poses, world_seeds(config.robots, config.seed, indices, _WORLD_STREAM))
+    step = None if on_step is None else partial(on_step, runs.count * config.robots)
+    before = rollout(world, controller, config.change_time, step)
+    changed = change_teams(world, runs.change, world_seeds(config.robots, config.seed, indices, _CHANGE_STREAM))
+    after = rollout(world, controller, config.duration - config.change_time, step)
+    table = _measure_change(config, before, after, world) | {"changed_robot": changed}
+    table |= {"run": np.array(indices), "change": np.array([runs.change] * runs.count)}
+    return before.then(after), table
+
+
+def measure_changes(
+    config: DynamicConfig,
+    controller: Controller[PrivilegedView],
+    engine: Engine,
+    on_step: Report | None = None,
+) -> Iterator[tuple[Change, RunTable]]:
+    """Measure all additions and all removals.
+
+    Args:
+        config: What to run.
+        controller: Its controller.
+        engine: Where to run.
+        on_step: Called with the number of control periods times robots that were just done, for progress.
+
+    Yields:
+        Every change as soon as it is done, and its table: one row of measures per run, in order.
+
+    Raises:
+        TriformError: The arena has no place for a start or for a robot that joins; starts are checked before the
+            first run.
+    """
+    config.check_starts(starts(config.robots, config.runs, config.seed))
+    parts = chunks(config.runs, config.robots)
+    groups = [[ChangedRuns(change, part.start, part.stop - part.start) for part in parts] for change in CHANGES]
+    task = MeasureChanges(config, PortableController(config, controller))
+    for number, tables in by_group(task, groups, engine, on_step):
+        yield CHANGES[number], concatenate(tables)
 
 
 def change_teams(world: World, change: Change, draws: list[np.random.SeedSequence]) -> IntArray:
@@ -165,7 +223,7 @@ def summarise_changes(table: RunTable) -> dict[str, Any]:
 def run_dynamic(config: DynamicConfig, console: Console) -> dict[str, Any]:
     """Run additions and removals with a progress bar, keep the results in files and print the table.
 
-    Files are written after the additions and again after the removals, so an interrupted experiment keeps what is done.
+    Files are rewritten when all additions and when all removals are done, so an interrupted experiment keeps them.
 
     Args:
         config: What to run and which files to write.
@@ -183,13 +241,18 @@ def run_dynamic(config: DynamicConfig, console: Console) -> dict[str, Any]:
     if config.parquet is not None:
         require_parquet()
     began = time.perf_counter()
-    controller = config.make_controller()
-    tables: list[RunTable] = []
-    result: dict[str, Any] = {"config": describe(config, controller)}
+    done: dict[Change, RunTable] = {}
     total = len(CHANGES) * config.steps * config.runs * config.robots
-    with progress_bar(console, "changing teams", total) as advance:
-        for change in CHANGES:
-            tables.append(run_changes(config, controller, change, advance)[1])
+    with (
+        limit_threads(config.threads),
+        config.open_engine() as engine,
+        progress_bar(console, "changing teams", total) as advance,
+    ):
+        controller = config.make_controller()
+        result: dict[str, Any] = {"config": describe(config, controller)}
+        for change, changed in measure_changes(config, controller, engine, advance):
+            done[change] = changed
+            tables = [done[each] for each in CHANGES if each in done]
             result["wall_seconds"] = round(time.perf_counter() - began, 3)
             result["results"] = [summarise_changes(table) for table in tables]
             if config.json is not None:
@@ -226,13 +289,3 @@ def change_rows(summaries: list[dict[str, Any]]) -> tuple[list[str], list[list[s
         for summary in summaries
     ]
     return headings, rows
-
-
-def _join(trajectories: list[Trajectory]) -> Trajectory:
-    """Put the runs of several batches one after the other; all have the same N and T."""
-    return Trajectory(
-        trajectories[0].time,
-        np.concatenate([part.poses for part in trajectories]),
-        np.concatenate([part.active for part in trajectories]),
-        np.concatenate([part.commands for part in trajectories]),
-    )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,22 @@ import numpy as np
 from rich.console import Console
 
 from triform import __version__
+from triform.engines import Engine
+from triform.evaluation.bulk import Chunk, MeasureRuns, PortableController, measure_groups
 from triform.evaluation.metrics import RunTable, concatenate, select, summarise
 from triform.evaluation.output import prepare_file, write_json
-from triform.evaluation.scenario import Scenario, batches, world_seeds
+from triform.evaluation.scenario import BulkScenario, Scenario
 from triform.evaluation.tables import progress_bar, require_parquet, rich_table, summary_rows, write_parquet
 from triform.simulation import load_starts, starts
-from triform.types import Controller, FloatArray, IntArray, PrivilegedView, require
+from triform.threads import limit_threads
+from triform.types import Controller, PrivilegedView, require
+
+#: Settings that say nothing about results.
+_UNRECORDED = {"json", "parquet", "ray_address"}
 
 
 @dataclass(frozen=True)
-class EvaluateConfig(Scenario):
+class EvaluateConfig(BulkScenario):
     """Settings of an evaluation.
 
     Attributes:
@@ -65,7 +71,7 @@ class Evaluation:
 
     Attributes:
         config: Settings and the controller's own description, plain JSON values.
-        tables: One table per team size, one row per run.
+        tables: One table per team size that is done, in the order of the configuration, one row per run.
         wall_seconds: Time spent [s].
     """
 
@@ -105,39 +111,48 @@ class Evaluation:
 
 def evaluate(
     config: EvaluateConfig,
-    on_step: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
     on_size: Callable[[Evaluation], None] | None = None,
+    engine: Engine | None = None,
 ) -> Evaluation:
     """Run and measure every start of every team size.
 
     Args:
         config: What to run.
-        on_step: Called with the number of control periods times robots that were just done, for progress.
+        on_progress: Called with the share of all work that was just done.
         on_size: Called with what was found so far whenever a team size is done.
+        engine: Where to run; what ``config`` names if omitted.
 
     Returns:
-        Measures of every run.
+        Measures of every run; the same to the bit with any engine and any number of threads.
 
     Raises:
         TriformError: A name in the configuration is unknown, or the starts or weights cannot be used; all
             starts are checked before the first run.
     """
     began = time.perf_counter()
-    controller = config.make_controller()
-    evaluation = Evaluation(describe(config, controller))
-    groups = start_groups(config)
-    for _, poses in groups:
-        config.check_starts(poses)
-    for indices, poses in groups:
-        evaluation.tables.append(evaluate_runs(config, controller, poses, config.seed, on_step, indices))
-        evaluation.wall_seconds = time.perf_counter() - began
-        if on_size is not None:
-            on_size(evaluation)
+    done: dict[int, RunTable] = {}
+    with limit_threads(config.threads):
+        controller = config.make_controller()
+        evaluation = Evaluation(describe(config, controller))
+        groups = start_groups(config)
+        for group in groups:
+            config.check_starts(group.poses)
+        total = config.steps * sum(group.indices.size * group.poses.shape[1] for group in groups)
+        task = MeasureRuns(config, config.seed, PortableController(config, controller))
+        share = None if on_progress is None else lambda work: on_progress(work / total)
+        with config.open_engine() if engine is None else nullcontext(engine) as where:
+            for number, table in measure_groups(task, groups, where, share):
+                done[number] = table
+                evaluation.tables = [done[each] for each in sorted(done)]
+                evaluation.wall_seconds = time.perf_counter() - began
+                if on_size is not None:
+                    on_size(evaluation)
     return evaluation
 
 
-def start_groups(config: EvaluateConfig) -> list[tuple[IntArray, FloatArray]]:
-    """Return the starts of every team size: indices of the runs (runs,) and poses (runs, N, 3).
+def start_groups(config: EvaluateConfig) -> list[Chunk]:
+    """Return the runs of every team size.
 
     The index of a run from a file is its rank, from 0, among all run numbers of the file, whatever the team sizes.
 
@@ -146,54 +161,19 @@ def start_groups(config: EvaluateConfig) -> list[tuple[IntArray, FloatArray]]:
     """
     if config.starts is None:
         indices = np.arange(config.runs)
-        return [(indices, starts(robots, config.runs, config.seed)) for robots in config.robots]
+        return [Chunk(indices, starts(robots, config.runs, config.seed)) for robots in config.robots]
     given = load_starts(config.starts)
     sizes = np.array([len(poses) for poses in given])
     groups = []
     for robots in np.unique(sizes):
         indices = np.flatnonzero(sizes == robots)
-        groups.append((indices, np.stack([given[index] for index in indices])))
+        groups.append(Chunk(indices, np.stack([given[index] for index in indices])))
     return groups
-
-
-def evaluate_runs(
-    scenario: Scenario,
-    controller: Controller[PrivilegedView],
-    poses: FloatArray,
-    seed: int,
-    on_step: Callable[[float], None] | None = None,
-    indices: IntArray | None = None,
-) -> RunTable:
-    """Run and measure the starts ``poses`` (runs, N, 3), as many at once as memory likes.
-
-    Args:
-        scenario: What to run.
-        controller: Its controller.
-        poses: Starts of one team size.
-        seed: Seed of the worlds' noise.
-        on_step: As in ``evaluate``.
-        indices: Index of every run, shape (runs,), on which its noise depends; from 0 by default.
-
-    Returns:
-        One row per run, in order.
-    """
-    runs, robots = poses.shape[:2]
-    indices = np.arange(runs) if indices is None else indices
-    seeds = world_seeds(robots, seed, indices)
-    tables = []
-    for batch in batches(runs, robots):
-        step = None
-        if on_step is not None:
-            work = (batch.stop - batch.start) * robots
-            step = partial(on_step, work)
-        trajectory, world = scenario.run(poses[batch], seeds[batch], controller, step)
-        tables.append(scenario.measure(trajectory, world))
-    return {"run": indices} | concatenate(tables)
 
 
 def describe(scenario: Scenario, controller: Controller[PrivilegedView]) -> dict[str, Any]:
     """Return the settings of a scenario as plain JSON values, with what they stand for."""
-    settings = {name: value for name, value in asdict(scenario).items() if name not in {"json", "parquet"}}
+    settings = {name: value for name, value in asdict(scenario).items() if name not in _UNRECORDED}
     return settings | {
         "controller_description": controller.description,
         "profile_description": asdict(scenario.robot),
@@ -229,8 +209,7 @@ def run_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
         if per_run_file is not None:
             write_parquet(per_run_file, evaluation.runs)
 
-    total = config.steps * sum(poses.shape[0] * poses.shape[1] for _, poses in start_groups(config))
-    with progress_bar(console, "evaluating", total) as advance:
+    with progress_bar(console, "evaluating", 1.0) as advance:
         evaluation = evaluate(config, advance, keep)
     print_evaluation(evaluation, console)
     for path in (config.json, per_run_file):

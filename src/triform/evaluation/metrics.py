@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from triform.evaluation.rollout import Trajectory
-from triform.geometry import assess, edge_error
+from triform.geometry import assess, edge_error, smallest_distance
 from triform.types import SENSING_RANGE, BoolArray, FloatArray, require
 
 #: Errors are averaged over this long [s]; so no run counts as converged before it.
@@ -126,14 +126,8 @@ def measure(
 
 def closest(trajectory: Trajectory) -> FloatArray:
     """Smallest recorded distance between two robots of each run [m], shape (B,); infinite without a pair."""
-    smallest = np.full(len(trajectory.poses), np.inf)
-    robots = trajectory.poses.shape[2]
-    for i in range(robots):
-        for j in range(i):
-            apart = np.linalg.norm(trajectory.positions[:, :, i] - trajectory.positions[:, :, j], axis=-1)
-            both = trajectory.active[:, :, i] & trajectory.active[:, :, j]
-            smallest = np.minimum(smallest, np.where(both, apart, np.inf).min(axis=1))
-    return smallest
+    recorded = smallest_distance(trajectory.positions, trajectory.active)
+    return np.asarray(recorded.min(axis=1, initial=np.inf), dtype=np.float64)
 
 
 def summarise(table: RunTable) -> dict[str, Any]:

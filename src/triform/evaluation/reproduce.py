@@ -12,18 +12,22 @@ from typing import Any, TypeVar
 import numpy as np
 from rich.console import Console
 
+from triform.engines import Engine
 from triform.evaluation import paper
+from triform.evaluation.bulk import Chunk, MeasureRuns, PortableController, measure_groups
 from triform.evaluation.comparison import Comparison
 from triform.evaluation.dynamic import (
     CHANGE_TIME,
     CHANGES,
     Change,
+    ChangedRuns,
     DynamicConfig,
     change_rows,
+    measure_changes,
     run_changes,
     summarise_changes,
 )
-from triform.evaluation.evaluate import EvaluateConfig, Evaluation, describe, evaluate, evaluate_runs
+from triform.evaluation.evaluate import EvaluateConfig, Evaluation, describe, evaluate
 from triform.evaluation.figures import Scene, TeamChange, comparison_figure, figure_3, figure_4, figure_5
 from triform.evaluation.metrics import TOLERANCE, WINDOW, RunTable, concatenate, summarise
 from triform.evaluation.output import prepare_folder, write_json
@@ -43,6 +47,7 @@ from triform.evaluation.tables import (
     write_parquet,
 )
 from triform.simulation import starts
+from triform.threads import limit_threads
 from triform.types import Controller, PrivilegedView
 
 __all__ = ["KEYS", "SIZES", "ReproduceConfig", "What", "reproduce", "trajectory_table"]
@@ -70,19 +75,19 @@ def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
     """
     prepare_folder(config.output)
     require_parquet()
-    reproduction = _Reproduction(config, console)
     pages: list[Path] = []
-    for make in reproduction.makers.values():
-        for stage in make():
-            section = stage
-            # After every stage, so that an interrupted reproduction leaves a page over what is done.
-            pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
-        # Controllers have been shown one by one; together they are too wide for many terminals.
-        if section.key != "comparison":
-            console.print(rich_table(section.title, section.headings, section.rows))
-        for name in [section.image, *section.files]:
-            if name:
-                console.print(f"wrote {config.output / name}", soft_wrap=True)
+    with limit_threads(config.threads), config.open_engine() as engine:
+        for make in _Reproduction(config, console, engine).makers.values():
+            for stage in make():
+                section = stage
+                # After every stage, so that an interrupted reproduction leaves a page over what is done.
+                pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
+            # Controllers have been shown one by one; together they are too wide for many terminals.
+            if section.key != "comparison":
+                console.print(rich_table(section.title, section.headings, section.rows))
+            for name in [section.image, *section.files]:
+                if name:
+                    console.print(f"wrote {config.output / name}", soft_wrap=True)
     for page in pages:
         console.print(f"wrote {page}", soft_wrap=True)
     return pages
@@ -91,9 +96,10 @@ def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
 class _Reproduction:
     """Makes sections; what two of them need is computed once."""
 
-    def __init__(self, config: ReproduceConfig, console: Console) -> None:
+    def __init__(self, config: ReproduceConfig, console: Console, engine: Engine) -> None:
         self.config = config
         self.console = console
+        self.engine = engine
         self.scene = Scene(config.robot.footprint, config.surroundings, config.distance)
         self.evaluations: dict[Contestant, Evaluation] = {}
         makers: dict[str, Callable[[], Iterator[Section]]] = {
@@ -233,10 +239,11 @@ class _Reproduction:
         with self._progress("changing teams", total) as advance:
             above, which_above = self._shown_change("addition", 6, advance)
             below, which_below = self._shown_change("removal", 7, advance)
-            tables = [self._changes(change, 7, self.config.runs, advance)[1] for change in CHANGES]
+            config = self._changing(7, self.config.runs)
+            tables = dict(measure_changes(config, self.controller, self.engine, advance))
         save_figure(figure_5([above, below], self.scene), self.config.output / "fig5.png")
-        write_parquet(self.config.output / "fig5.parquet", concatenate(tables))
-        summaries = [summarise_changes(table) for table in tables]
+        write_parquet(self.config.output / "fig5.parquet", concatenate([tables[change] for change in CHANGES]))
+        summaries = [summarise_changes(tables[change]) for change in CHANGES]
         section = self._section(
             "fig5",
             "Fig. 5: a robot comes, a robot goes",
@@ -283,8 +290,8 @@ class _Reproduction:
                 runs=self.config.runs,
                 seed=self.config.seed,
             )
-            with self._progress(description, config.steps * config.runs * sum(SIZES)) as advance:
-                self.evaluations[contestant] = evaluate(config, advance)
+            with self._progress(description, 1.0) as advance:
+                self.evaluations[contestant] = evaluate(config, advance, engine=self.engine)
         return self.evaluations[contestant]
 
     def _derive(self, kind: type[_Derived], **changes: Any) -> _Derived:
@@ -302,17 +309,19 @@ class _Reproduction:
         """Measure four robots with the hardware profile."""
         scenario = self._derive(Scenario, profile=REAL_PROFILE)
         poses = starts(paper.REAL_ROBOTS, self.config.runs, self.config.seed)
+        runs = Chunk(np.arange(self.config.runs), poses)
+        task = MeasureRuns(scenario, self.config.seed, PortableController(scenario, self.controller))
         with self._progress("hardware profile", scenario.steps * poses.shape[0] * poses.shape[1]) as advance:
-            table = evaluate_runs(scenario, self.controller, poses, self.config.seed, advance)
+            ((_, table),) = measure_groups(task, [runs], self.engine, advance)
         return {"robots": paper.REAL_ROBOTS, **summarise(table)}
 
-    def _changes(self, change: Change, robots: int, runs: int, advance: Advance) -> tuple[Trajectory, RunTable]:
-        config = self._derive(DynamicConfig, robots=robots, runs=runs, seed=self.config.seed)
-        return run_changes(config, self.controller, change, advance)
+    def _changing(self, robots: int, runs: int) -> DynamicConfig:
+        return self._derive(DynamicConfig, robots=robots, runs=runs, seed=self.config.seed)
 
     def _shown_change(self, change: Change, robots: int, advance: Advance) -> tuple[TeamChange, str]:
         """Choose the run to show, and say which it is."""
-        trajectory, table = self._changes(change, robots, _CANDIDATES, advance)
+        runs = ChangedRuns(change, 0, _CANDIDATES)
+        trajectory, table = run_changes(self._changing(robots, _CANDIDATES), self.controller, runs, advance)
         formed, connected = table["formed_before"], table["connected_start"]
         shown = int(np.argmax(formed & connected))
         wanted = "had formed before the change and whose sensing graph is connected right after it"

@@ -12,7 +12,7 @@ from triform.control.registry import DEFAULT_WEIGHTS
 from triform.evaluation.dynamic import CHANGE_TIME
 from triform.evaluation.metrics import WINDOW
 from triform.evaluation.rollout import control_steps
-from triform.evaluation.scenario import Scenario
+from triform.evaluation.scenario import BulkScenario
 from triform.simulation import get_profile
 from triform.types import ConfigurationError, require
 
@@ -45,7 +45,7 @@ class Contestant:
 
 
 @dataclass(frozen=True)
-class ReproduceConfig(Scenario):
+class ReproduceConfig(BulkScenario):
     """Settings of a reproduction.
 
     Attributes:
@@ -100,9 +100,10 @@ class ReproduceConfig(Scenario):
         return shlex.join(words)
 
     def _without_effect(self, key: str) -> set[str]:
+        nowhere = {"what", "engine", "ray_address"}
         if key != "comparison":
-            return {"what", "compare"}
-        return {"what", "controller"} if "policy" in self.compare else {"what", "controller", "weights"}
+            return nowhere | {"compare"}
+        return nowhere | ({"controller"} if "policy" in self.compare else {"controller", "weights"})
 
     def _contestant(self, name: str) -> Contestant:
         controller, _, weights = name.partition(":")

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from triform.control import make_controller
+from triform.engines import Engine, EngineName, check_engine, open_engine
 from triform.evaluation.metrics import WINDOW, RunTable, measure
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.rollout import Trajectory, control_steps, rollout
 from triform.simulation import Arena, Profile, World, get_arena, get_profile
 from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, require
 
-#: So many robots are simulated at once: enough to fill a processor, few enough for any memory.
-ROBOTS_AT_ONCE = 2000
+#: Robots of one chunk of runs: enough that the fixed cost of a step is small, few enough that the last chunks of an
+#: evaluation keep every processor busy. The same on every machine, so that no result can depend on it.
+ROBOTS_PER_CHUNK = 256
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class Scenario:
         arena: Name of the arena: open, room-6 or pillars.
         distance: Prescribed neighbour distance d* [m].
         duration: Length of every run [s].
-        threads: Threads of the policy; all cores if omitted.
+        threads: Threads of the whole command; one for each processor if omitted.
     """
 
     controller: str = "policy"
@@ -72,7 +76,7 @@ class Scenario:
         Raises:
             TriformError: There is no such controller, or its weights cannot be used.
         """
-        return make_controller(self.controller, distance=self.distance, weights=self.weights, threads=self.threads)
+        return make_controller(self.controller, distance=self.distance, weights=self.weights)
 
     def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence], **options: Any) -> World:
         """Put robots at ``poses`` (B, N, 3) into B worlds with their own noise.
@@ -96,7 +100,7 @@ class Scenario:
             return
         blocked = [
             blocked_starts(World(poses[batch], self.robot, arena, [0] * (batch.stop - batch.start)))
-            for batch in batches(runs, robots)
+            for batch in chunks(runs, robots)
         ]
         self._refuse_blocked(np.concatenate(blocked), robots)
 
@@ -131,6 +135,31 @@ class Scenario:
         )
 
 
+@dataclass(frozen=True)
+class BulkScenario(Scenario):
+    """A scenario that is run many times.
+
+    Attributes:
+        engine: Where: local is this process, ray is Ray, on this machine or a cluster. Results are the same.
+        ray_address: Ray cluster to use, host:port or auto; Ray is started on this machine if omitted.
+    """
+
+    engine: EngineName = "local"
+    ray_address: str | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_engine(self.engine, self.ray_address)
+
+    def open_engine(self) -> AbstractContextManager[Engine]:
+        """Give the engine, for a ``with`` block.
+
+        Raises:
+            TriformError: Ray cannot be reached or started.
+        """
+        return open_engine(self.engine, self.threads, self.ray_address)
+
+
 def world_seeds(robots: int, seed: int, runs: Iterable[int], purpose: int = 1) -> list[np.random.SeedSequence]:
     """Return one seed per run for its noise; a function of (robots, seed, index) alone, like the starts.
 
@@ -143,8 +172,8 @@ def world_seeds(robots: int, seed: int, runs: Iterable[int], purpose: int = 1) -
     return [np.random.SeedSequence([robots, seed, int(index), purpose]) for index in runs]
 
 
-def batches(runs: int, robots: int, robots_at_once: int | None = None) -> Iterator[slice]:
-    """Split runs of ``robots`` robots each into slices that hold at most ``robots_at_once``, or one run."""
-    size = max(1, (robots_at_once or ROBOTS_AT_ONCE) // robots)
-    for first in range(0, runs, size):
-        yield slice(first, min(first + size, runs))
+def chunks(runs: int, robots: int) -> list[slice]:
+    """Cut runs of ``robots`` robots each into chunks of nearly one size; a function of the two numbers alone."""
+    count = max(1, min(runs, round(runs * robots / ROBOTS_PER_CHUNK)))
+    bounds = [runs * chunk // count for chunk in range(count + 1)]
+    return [slice(first, last) for first, last in pairwise(bounds)]

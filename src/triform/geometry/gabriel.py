@@ -6,6 +6,8 @@ lies strictly inside the circle over i and j iff it sees them under an obtuse an
 
 What follows from "strictly": robots on the circle do not block an edge, so both diagonals of an exact square are
 edges; a robot that coincides with i or j blocks nothing; coincident robots are neighbours.
+
+Small teams are treated by that definition, larger ones by cells in time linear in N; the edges are the same ones.
 """
 
 from __future__ import annotations
@@ -13,18 +15,93 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from triform.threads import threads_for
-from triform.types import BoolArray, ConfigurationError, FloatArray
+from triform.geometry._gabriel_kernels import list_neighbours, make_room
+from triform.geometry.cells import SMALL_TEAM, extended, make_cells
+from triform.threads import in_parts
+from triform.types import BoolArray, ConfigurationError, FloatArray, IntArray
 
-#: Pairs of robots that keep a thread busy for a few milliseconds.
-PAIRS_PER_THREAD = 100_000
+#: Robots that keep a thread busy for a few milliseconds, in small teams and in large ones.
+ROBOTS_PER_THREAD = 10_000
+
+
+@njit(cache=True, nogil=True)
+def are_neighbours(positions, active, i, j, limit):  # type: ignore[no-untyped-def]
+    """Whether two robots are Gabriel neighbours, by the definition; ``limit`` is the squared longest edge [m^2]."""
+    if not (active[i] and active[j]):
+        return False
+    x_i, y_i = positions[i, 0], positions[i, 1]
+    x_j, y_j = positions[j, 0], positions[j, 1]
+    if (x_i - x_j) * (x_i - x_j) + (y_i - y_j) * (y_i - y_j) > limit:
+        return False
+    for k in range(positions.shape[0]):
+        if k != i and k != j and active[k]:
+            x_k, y_k = positions[k, 0], positions[k, 1]
+            if (x_i - x_k) * (x_j - x_k) + (y_i - y_k) * (y_j - y_k) < 0.0:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def gabriel_lists(positions, active, max_range):  # type: ignore[no-untyped-def]
+    """Gabriel graph of one world as lists of neighbours.
+
+    Args:
+        positions: Positions [m], shape (N, 2) or (N, 3) with anything in the third column.
+        active: Robots that exist, shape (N,); others neither have nor block edges.
+        max_range: Pairs farther apart are no neighbours [m].
+
+    Returns:
+        Offsets of shape (N + 1,) and neighbours of shape (2 E,): those of robot i are
+        ``neighbours[offsets[i] : offsets[i + 1]]``, in growing order.
+    """
+    robots = active.shape[0]
+    limit = max_range * max_range
+    offsets = np.zeros(robots + 1, dtype=np.int64)
+    listed = np.empty((8 * robots + 8, 1), dtype=np.int64)
+    filled = 0
+    if robots <= SMALL_TEAM:
+        for i in range(robots):
+            listed = extended(listed, filled + robots)
+            for j in range(robots):
+                if j != i and are_neighbours(positions, active, i, j, limit):
+                    listed[filled, 0] = j
+                    filled += 1
+            offsets[i + 1] = filled
+        return offsets, listed[:filled, 0].copy()
+    world = make_cells(positions, active)
+    order, _, parts, _ = world
+    room = make_room(order.shape[0])
+    begins = np.empty(order.shape[0], dtype=np.int64)
+    ends = np.empty(order.shape[0] + 1, dtype=np.int64)
+    in_cell = np.empty((64, 1), dtype=np.int64)
+    for cell in range(parts.shape[0]):
+        if parts[cell, 2] > 0:
+            continue
+        in_cell = list_neighbours(world, cell, limit, room, in_cell, ends)
+        for own in range(parts[cell, 0], parts[cell, 1]):
+            k = own - parts[cell, 0]
+            begins[own] = filled + ends[k]
+            offsets[order[own] + 1] = ends[k + 1] - ends[k]
+        count = ends[parts[cell, 1] - parts[cell, 0]]
+        listed = extended(listed, filled + count)
+        for k in range(count):
+            listed[filled + k, 0] = in_cell[k, 0]
+        filled += count
+    for i in range(robots):
+        offsets[i + 1] += offsets[i]
+    neighbours = np.empty(filled, dtype=np.int64)
+    for own in range(order.shape[0]):
+        first = offsets[order[own]]
+        for k in range(offsets[order[own] + 1] - first):
+            neighbours[first + k] = listed[begins[own] + k, 0]
+    return offsets, neighbours
 
 
 @njit(cache=True, nogil=True)
 def gabriel_into(positions, active, max_range, out):  # type: ignore[no-untyped-def]
-    """Write the Gabriel graph of one world.
+    """Write the Gabriel graph of one world as a matrix; allocates nothing for up to ``SMALL_TEAM`` robots.
 
     Args:
         positions: Positions [m], shape (N, 2) or (N, 3) with anything in the third column.
@@ -32,36 +109,29 @@ def gabriel_into(positions, active, max_range, out):  # type: ignore[no-untyped-
         max_range: Pairs farther apart are no neighbours [m].
         out: Adjacency to fill, bool, shape (N, N).
     """
-    robots = positions.shape[0]
+    robots = active.shape[0]
+    if robots > SMALL_TEAM:
+        out[:] = False
+        offsets, neighbours = gabriel_lists(positions, active, max_range)
+        for i in range(robots):
+            for k in range(offsets[i], offsets[i + 1]):
+                out[i, neighbours[k]] = True
+        return
     limit = max_range * max_range
     for i in range(robots):
         out[i, i] = False
         for j in range(i):
-            edge = active[i] and active[j]
-            if edge:
-                x_i, y_i = positions[i, 0], positions[i, 1]
-                x_j, y_j = positions[j, 0], positions[j, 1]
-                edge = (x_i - x_j) ** 2 + (y_i - y_j) ** 2 <= limit
-            if edge:
-                for k in range(robots):
-                    if k == i or k == j or not active[k]:
-                        continue
-                    x_k, y_k = positions[k, 0], positions[k, 1]
-                    if (x_i - x_k) * (x_j - x_k) + (y_i - y_k) * (y_j - y_k) < 0.0:
-                        edge = False
-                        break
-            out[i, j] = edge
-            out[j, i] = edge
+            out[i, j] = out[j, i] = are_neighbours(positions, active, i, j, limit)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _gabriel_worlds(positions, active, max_range, out):  # type: ignore[no-untyped-def]
-    for b in prange(positions.shape[0]):
+@njit(cache=True, nogil=True)
+def _gabriel_worlds(positions, active, max_range, out, first, last):  # type: ignore[no-untyped-def]
+    for b in range(first, last):
         gabriel_into(positions[b], active[b], max_range, out[b])
 
 
 def gabriel_graph(positions: FloatArray, max_range: float = np.inf, active: BoolArray | None = None) -> BoolArray:
-    """Gabriel graph of every world.
+    """Gabriel graph of every world as a matrix; ``gabriel_edges`` needs less memory for a large team.
 
     With a finite ``max_range`` the graph holds the edges of the full graph that are no longer than it. That is
     also what a robot finds from the robots within ``max_range`` of itself alone: whoever blocks one of its edges
@@ -81,10 +151,36 @@ def gabriel_graph(positions: FloatArray, max_range: float = np.inf, active: Bool
     points, mask = checked_points(positions, active, max_range)
     robots = points.shape[-2]
     out = np.empty((*points.shape[:-2], robots, robots), dtype=np.bool_)
-    worlds = points.reshape(math.prod(points.shape[:-2]), robots, 2)
-    with threads_for(len(worlds) * robots**2, PAIRS_PER_THREAD):
-        _gabriel_worlds(worlds, mask.reshape(len(worlds), robots), max_range, out.reshape(len(worlds), robots, robots))
+    count = math.prod(points.shape[:-2])
+    worlds, masks = points.reshape(count, robots, 2), mask.reshape(count, robots)
+    graphs = out.reshape(count, robots, robots)
+    in_parts(
+        lambda first, last: _gabriel_worlds(worlds, masks, max_range, graphs, first, last),
+        count, count * robots, ROBOTS_PER_THREAD,
+    )  # fmt: skip
     return out
+
+
+def gabriel_edges(positions: FloatArray, max_range: float = np.inf, active: BoolArray | None = None) -> IntArray:
+    """Gabriel graph of one world as a list of edges, in time and memory linear in the number of robots.
+
+    Args:
+        positions: Positions [m], shape (N, 2).
+        max_range: Longest edge [m].
+        active: Robots that exist, shape (N,); all by default.
+
+    Returns:
+        Indices (i, j) of the robots of every edge, i < j, in growing order, shape (E, 2).
+
+    Raises:
+        ConfigurationError: If the shapes do not fit, a position is not finite or ``max_range`` is negative.
+    """
+    points, mask = checked_points(positions, active, max_range)
+    if points.ndim != 2:
+        raise ConfigurationError(f"positions have shape {points.shape}; (N, 2) is needed")
+    offsets, neighbours = gabriel_lists(points, mask, float(max_range))
+    edges = np.stack([np.repeat(np.arange(len(points)), np.diff(offsets)), neighbours], axis=1)
+    return np.ascontiguousarray(edges[edges[:, 0] < edges[:, 1]])
 
 
 def checked_points(positions: FloatArray, active: BoolArray | None, max_range: float) -> tuple[FloatArray, BoolArray]:

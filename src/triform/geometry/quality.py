@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from triform.geometry.gabriel import PAIRS_PER_THREAD, checked_points, gabriel_into
-from triform.threads import threads_for
+from triform.geometry.cells import SMALL_TEAM, smallest_distance_of
+from triform.geometry.gabriel import ROBOTS_PER_THREAD, are_neighbours, checked_points, gabriel_lists
+from triform.threads import in_parts
 from triform.types import BoolArray, FloatArray, IntArray, require
 
 #: An edge is right when its length is within this share of the prescribed distance.
@@ -37,17 +38,39 @@ class Quality:
 
 
 @njit(cache=True, nogil=True)
-def _edge_error(positions, graph, distance):  # type: ignore[no-untyped-def]
-    """Mean relative edge error and worst relative edge error of one world; NaN without edges."""
+def _relative_error(positions, i, j, distance):  # type: ignore[no-untyped-def]
+    """Relative error of the length of one edge."""
+    dx = positions[i, 0] - positions[j, 0]
+    dy = positions[i, 1] - positions[j, 1]
+    return abs(np.sqrt(dx * dx + dy * dy) - distance) / distance
+
+
+@njit(cache=True, nogil=True)
+def _edge_error(positions, active, distance, max_range):  # type: ignore[no-untyped-def]
+    """Mean relative edge error of one world; NaN without edges."""
+    if active.shape[0] > SMALL_TEAM:
+        offsets, neighbours = gabriel_lists(positions, active, max_range)
+        return _listed_errors(positions, offsets, neighbours, distance)[0]
+    total = 0.0
+    edges = 0
+    for i in range(active.shape[0]):
+        for j in range(i):
+            if are_neighbours(positions, active, i, j, max_range * max_range):
+                total += _relative_error(positions, i, j, distance)
+                edges += 1
+    return total / edges if edges > 0 else np.nan
+
+
+@njit(cache=True, nogil=True)
+def _listed_errors(positions, offsets, neighbours, distance):  # type: ignore[no-untyped-def]
+    """Mean relative edge error, worst relative edge error and number of edges; NaN without edges."""
     total = 0.0
     worst = 0.0
     edges = 0
-    for i in range(positions.shape[0]):
-        for j in range(i):
-            if graph[i, j]:
-                dx = positions[i, 0] - positions[j, 0]
-                dy = positions[i, 1] - positions[j, 1]
-                error = abs(np.sqrt(dx * dx + dy * dy) - distance) / distance
+    for i in range(offsets.shape[0] - 1):
+        for k in range(offsets[i], offsets[i + 1]):
+            if neighbours[k] < i:
+                error = _relative_error(positions, i, neighbours[k], distance)
                 total += error
                 worst = max(worst, error)
                 edges += 1
@@ -57,9 +80,9 @@ def _edge_error(positions, graph, distance):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _count_reached(graph, active):  # type: ignore[no-untyped-def]
+def _count_reached(offsets, neighbours, active):  # type: ignore[no-untyped-def]
     """Number of active robots and how many of them the first one reaches over the graph."""
-    robots = graph.shape[0]
+    robots = active.shape[0]
     seen = np.zeros(robots, dtype=np.bool_)
     stack = np.empty(robots, dtype=np.int64)
     count = 0
@@ -76,8 +99,8 @@ def _count_reached(graph, active):  # type: ignore[no-untyped-def]
         top -= 1
         i = stack[top]
         reached += 1
-        for j in range(robots):
-            if graph[i, j] and not seen[j]:
+        for j in neighbours[offsets[i] : offsets[i + 1]]:
+            if not seen[j]:
                 seen[j] = True
                 stack[top] = j
                 top += 1
@@ -85,35 +108,46 @@ def _count_reached(graph, active):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _triangles(graph):  # type: ignore[no-untyped-def]
+def _count_common(first, second):  # type: ignore[no-untyped-def]
+    """How many numbers two growing lists have in common."""
+    common = 0
+    i = j = 0
+    while i < first.shape[0] and j < second.shape[0]:
+        if first[i] < second[j]:
+            i += 1
+        elif first[i] > second[j]:
+            j += 1
+        else:
+            common += 1
+            i += 1
+            j += 1
+    return common
+
+
+@njit(cache=True, nogil=True)
+def _triangles(offsets, neighbours):  # type: ignore[no-untyped-def]
     """Number of 3-cycles and whether every edge belongs to one."""
-    robots = graph.shape[0]
     triangles = 0
     covered = True
-    for i in range(robots):
-        for j in range(i):
-            if graph[i, j]:
-                common = 0
-                for k in range(robots):
-                    if graph[i, k] and graph[j, k]:
-                        common += 1
+    for i in range(offsets.shape[0] - 1):
+        own = neighbours[offsets[i] : offsets[i + 1]]
+        for j in own:
+            if j < i:
+                common = _count_common(own, neighbours[offsets[j] : offsets[j + 1]])
                 triangles += common
-                if common == 0:
-                    covered = False
+                covered = covered and common > 0
     return triangles // 3, covered
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _assess_worlds(  # type: ignore[no-untyped-def]
-    positions, active, distance, max_range, error, edges_out, connected, strict, compactness
+    positions, active, distance, max_range, error, edges_out, connected, strict, compactness, first, last
 ):
-    robots = positions.shape[1]
-    for b in prange(positions.shape[0]):
-        graph = np.empty((robots, robots), dtype=np.bool_)
-        gabriel_into(positions[b], active[b], max_range, graph)
-        mean, worst, edges = _edge_error(positions[b], graph, distance)
-        count, reached = _count_reached(graph, active[b])
-        triangles, covered = _triangles(graph)
+    for b in range(first, last):
+        offsets, neighbours = gabriel_lists(positions[b], active[b], max_range)
+        mean, worst, edges = _listed_errors(positions[b], offsets, neighbours, distance)
+        count, reached = _count_reached(offsets, neighbours, active[b])
+        triangles, covered = _triangles(offsets, neighbours)
         error[b] = mean
         edges_out[b] = edges
         connected[b] = count > 0 and reached == count
@@ -127,13 +161,16 @@ def _assess_worlds(  # type: ignore[no-untyped-def]
             compactness[b] = edges / np.floor(3 * count - np.sqrt(12.0 * count - 3))
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def _edge_error_worlds(positions, active, distance, max_range, out):  # type: ignore[no-untyped-def]
-    robots = positions.shape[1]
-    for b in prange(positions.shape[0]):
-        graph = np.empty((robots, robots), dtype=np.bool_)
-        gabriel_into(positions[b], active[b], max_range, graph)
-        out[b] = _edge_error(positions[b], graph, distance)[0]
+@njit(cache=True, nogil=True)
+def _edge_error_worlds(positions, active, distance, max_range, out, first, last):  # type: ignore[no-untyped-def]
+    for b in range(first, last):
+        out[b] = _edge_error(positions[b], active[b], distance, max_range)
+
+
+@njit(cache=True, nogil=True)
+def _smallest_distances(positions, active, out, first, last):  # type: ignore[no-untyped-def]
+    for b in range(first, last):
+        out[b] = smallest_distance_of(positions[b], active[b])
 
 
 def assess(
@@ -165,18 +202,12 @@ def assess(
     connected = np.empty(lead, dtype=np.bool_)
     strict = np.empty(lead, dtype=np.bool_)
     compactness = np.empty(lead)
-    with threads_for(error.size * robots**2, PAIRS_PER_THREAD):
-        _assess_worlds(
-            points.reshape(error.size, robots, 2),
-            mask.reshape(error.size, robots),
-            distance,
-            max_range,
-            error.reshape(-1),
-            edges.reshape(-1),
-            connected.reshape(-1),
-            strict.reshape(-1),
-            compactness.reshape(-1),
-        )
+    worlds, masks = points.reshape(error.size, robots, 2), mask.reshape(error.size, robots)
+    columns = [column.reshape(-1) for column in (error, edges, connected, strict, compactness)]
+    in_parts(
+        lambda first, last: _assess_worlds(worlds, masks, distance, max_range, *columns, first, last),
+        error.size, error.size * robots, ROBOTS_PER_THREAD,
+    )  # fmt: skip
     return Quality(error, edges, connected, strict, compactness)
 
 
@@ -191,8 +222,33 @@ def edge_error(
     points, mask = checked_points(positions, active, max_range)
     robots = points.shape[-2]
     out = np.empty(points.shape[:-2])
-    with threads_for(out.size * robots**2, PAIRS_PER_THREAD):
-        _edge_error_worlds(
-            points.reshape(out.size, robots, 2), mask.reshape(out.size, robots), distance, max_range, out.reshape(-1)
-        )
+    worlds, masks, flat = points.reshape(out.size, robots, 2), mask.reshape(out.size, robots), out.reshape(-1)
+    in_parts(
+        lambda first, last: _edge_error_worlds(worlds, masks, distance, max_range, flat, first, last),
+        out.size, out.size * robots, ROBOTS_PER_THREAD,
+    )  # fmt: skip
+    return out
+
+
+def smallest_distance(positions: FloatArray, active: BoolArray | None = None) -> FloatArray:
+    """Smallest distance between two robots of every formation [m].
+
+    Args:
+        positions: Positions [m], shape (..., N, 2).
+        active: Robots that exist, shape (..., N); all by default.
+
+    Returns:
+        Distances, shape (...); infinite where there are not two robots.
+
+    Raises:
+        ConfigurationError: If the positions are malformed.
+    """
+    points, mask = checked_points(positions, active, np.inf)
+    robots = points.shape[-2]
+    out = np.empty(points.shape[:-2])
+    worlds, masks, flat = points.reshape(out.size, robots, 2), mask.reshape(out.size, robots), out.reshape(-1)
+    in_parts(
+        lambda first, last: _smallest_distances(worlds, masks, flat, first, last),
+        out.size, out.size * robots, ROBOTS_PER_THREAD,
+    )  # fmt: skip
     return out

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from triform.files import sha256
 from triform.policy.config import NetworkConfig
@@ -20,6 +20,8 @@ _VERSION = 1
 WEIGHTS_FILE = "model.safetensors"
 SPEC_FILE = "model.json"
 ONNX_FILE = "model.onnx"
+#: Numbers of an exported graph's linear layers.
+Precision = Literal["float32", "int8"]
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class PolicySpec:
         training: How it was trained, for the record: preset, teacher, seed, maps.
         weights_sha256: Checksum of the weights that belong to this description.
         onnx_sha256: Checksum of the exported graph; empty before the export.
+        precision: Numbers in which the exported graph computes its linear layers.
     """
 
     network: NetworkConfig
@@ -43,11 +46,16 @@ class PolicySpec:
     training: dict[str, Any] = field(default_factory=dict)
     weights_sha256: str = ""
     onnx_sha256: str = ""
+    precision: Precision = "float32"
 
     def __post_init__(self) -> None:
         require(
             self.network.fits(self.map),
             f"the network reads maps of {self.network.map_size} cells, the map configuration has {self.map.size}",
+        )
+        require(
+            self.precision in get_args(Precision),
+            f"precision is {self.precision!r}; it must be {' or '.join(get_args(Precision))}",
         )
 
     def check_scan(self, scan: Scan) -> None:

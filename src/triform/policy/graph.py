@@ -72,7 +72,7 @@ class _Graph:
         set_external_data(tensor, self._file_name, offset=begin, length=4 * count)
         tensor.ClearField("raw_data")
         self.tensors.setdefault(tensor.name, tensor)
-        return tensor.name
+        return str(tensor.name)
 
     def linear(self, name: str, x: str, inputs: int, outputs: int, part: int = 0, parts: int = 1) -> str:
         """``x W^T + b`` for rows ``x``, shape (rows, inputs) -> (rows, outputs)."""

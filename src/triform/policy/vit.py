@@ -14,11 +14,14 @@ about a third of the paper's network less to compute.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from triform.policy.attention import Rows
 from triform.policy.config import NetworkConfig
 from triform.policy.packing import PackedMaps
 
@@ -30,7 +33,7 @@ class TokenBatch:
     Attributes:
         patches: Cells of every patch, float, shape (K, patch * patch).
         positions: Index of every patch in its map, row-major, shape (K,).
-        counts: Patches of every map, shape (M,), summing to K.
+        counts: Patches of every map, shape (M,), summing to K; always on the CPU, where rows are laid out.
     """
 
     patches: Tensor
@@ -40,11 +43,16 @@ class TokenBatch:
 
 def token_batch(packed: PackedMaps, device: torch.device | str = "cpu") -> TokenBatch:
     """Move packed maps into PyTorch."""
-    return TokenBatch(
-        torch.from_numpy(packed.patches).to(device).float(),
-        torch.from_numpy(packed.positions).to(device),
-        torch.from_numpy(packed.counts).to(device),
-    )
+    patches, positions = (to_device(array, device) for array in (packed.patches, packed.positions))
+    return TokenBatch(patches.float(), positions, torch.from_numpy(packed.counts))
+
+
+def to_device(array: NDArray[Any], device: torch.device | str) -> Tensor:
+    """Move an array into PyTorch; on its way to a GPU nobody waits for it."""
+    tensor = torch.from_numpy(array)
+    if torch.device(device).type == "cuda":
+        tensor = tensor.pin_memory()
+    return tensor.to(device, non_blocking=True)
 
 
 class Block(nn.Module):
@@ -62,10 +70,7 @@ class Block(nn.Module):
 
     def forward(self, x: Tensor, rows: Rows) -> Tensor:
         """Transform tokens, shape (K + M, D)."""
-        # (K + M, 3D) -> (3, M, heads, L, D / heads)
-        queries, keys, values = rows.spread(self.qkv(self.norm_attention(x)), 3, self.heads)
-        mixed = functional.scaled_dot_product_attention(queries, keys, values, attn_mask=rows.mask)
-        x = x + self.project(rows.gather(mixed))
+        x = x + self.project(rows.attend(self.qkv(self.norm_attention(x)), self.heads))
         return self._mlp(x)
 
     def read_out(self, x: Tensor, rows: Rows) -> Tensor:
@@ -83,48 +88,13 @@ class Block(nn.Module):
         # (heads, M, D / heads) -> (M, heads, D): one probe per head
         queries = functional.linear(normed[first:], to_query.reshape(dim, dim), query_bias)
         probes = (queries.view(maps, self.heads, -1).transpose(0, 1) @ to_key).transpose(0, 1)
-        (tokens,) = rows.spread(normed, 1, 1)
-        # The heads take the place of the queries, and all share the same keys and values: (M, 1, heads, D)
-        mixed = functional.scaled_dot_product_attention(
-            probes[:, None], tokens, tokens, attn_mask=rows.mask, scale=(dim // self.heads) ** -0.5
-        )
-        values = (mixed[:, 0].transpose(0, 1) @ to_value.transpose(1, 2)).transpose(0, 1).reshape(maps, dim)
+        mixed = rows.read(probes, normed, (dim // self.heads) ** -0.5)
+        values = (mixed.transpose(0, 1) @ to_value.transpose(1, 2)).transpose(0, 1).reshape(maps, dim)
         return self._mlp(x[first:] + self.project(values + value_bias))
 
     def _mlp(self, x: Tensor) -> Tensor:
         out: Tensor = x + self.contract(functional.gelu(self.expand(self.norm_mlp(x))))
         return out
-
-
-class Rows:
-    """Where each packed token sits when the maps of a batch lie side by side, M rows of L slots.
-
-    Slot 0 of a row is the class token; rows shorter than the longest end in slots that attention masks.
-    """
-
-    def __init__(self, counts: Tensor) -> None:
-        self.maps = counts.shape[0]
-        self.length = int(counts.max()) + 1 if self.maps else 1
-        row = torch.repeat_interleave(torch.arange(self.maps, device=counts.device), counts)
-        first = torch.cumsum(counts, 0) - counts
-        slot = torch.arange(row.shape[0], device=counts.device) - first[row] + 1
-        class_slots = torch.arange(self.maps, device=counts.device) * self.length
-        self.flat = torch.cat([row * self.length + slot, class_slots])
-        filled = torch.arange(self.length, device=counts.device)[None] <= counts[:, None]
-        self.mask = None if bool(filled.all()) else filled[:, None, None, :]
-
-    def spread(self, x: Tensor, parts: int, heads: int) -> tuple[Tensor, ...]:
-        """(K + M, parts * D) -> ``parts`` tensors of shape (M, heads, L, D / heads)."""
-        padded = x.new_zeros(self.maps * self.length, x.shape[1]).index_copy(0, self.flat, x)
-        return (
-            padded.view(self.maps, self.length, parts, heads, x.shape[1] // (parts * heads))
-            .permute(2, 0, 3, 1, 4)
-            .unbind(0)
-        )
-
-    def gather(self, x: Tensor) -> Tensor:
-        """(M, heads, L, D / heads) -> (K + M, D)."""
-        return x.transpose(1, 2).reshape(self.maps * self.length, x.shape[1] * x.shape[3])[self.flat]
 
 
 class VisionTransformer(nn.Module):
@@ -146,10 +116,10 @@ class VisionTransformer(nn.Module):
         patches = self.embed(tokens.patches) + self.position[1:][tokens.positions]
         maps = tokens.counts.shape[0]
         x = torch.cat([patches, (self.class_token + self.position[0]).expand(maps, -1)])
-        rows = Rows(tokens.counts)
+        rows = Rows(tokens.counts, x.device)
         for block in self.blocks[:-1]:
             x = block(x, rows)
-        return x[: patches.shape[0]], self.blocks[-1].read_out(x, rows)
+        return x[: patches.shape[0]], cast(Block, self.blocks[-1]).read_out(x, rows)
 
     def command(self, class_features: Tensor) -> Tensor:
         """Body twists (M, 3) from encoded class tokens (M, D)."""

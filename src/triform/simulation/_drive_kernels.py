@@ -1,6 +1,6 @@
-"""Compiled motion of one robot: exact for the drive's limits and lag, whatever the step.
+"""Compiled motion of robots: exact for the drive's limits and lag, whatever the step.
 
-All functions return scalars in tuples, allocate nothing and can be called from other kernels.
+All functions allocate nothing and can be called from other kernels.
 """
 
 from __future__ import annotations
@@ -95,30 +95,35 @@ def approach(gap: float, limit: float, lag: float, duration: float) -> tuple[flo
 
 
 @njit(cache=True, nogil=True)
-def drive_robot(pose: Any, velocity: Any, target: Any, limits: Any, duration: float) -> None:
-    """Advance one robot's ``pose`` and body ``velocity``, both of shape (3,), in place.
+def drive_team(poses: Any, velocities: Any, targets: Any, active: Any, limits: Any, duration: float) -> None:
+    """Advance the ``poses`` and body ``velocities`` of one team in place.
 
     Args:
-        pose: Pose in the world frame [m, m, rad].
-        velocity: Actual body twist [m/s, m/s, rad/s].
-        target: Limited body twist that the base is steering to [m/s, m/s, rad/s].
+        poses: Poses in the world frame, shape (N, 3) [m, m, rad].
+        velocities: Actual body twists, shape (N, 3) [m/s, m/s, rad/s].
+        targets: Limited body twists that the bases are steering to, shape (N, 3) [m/s, m/s, rad/s].
+        active: Robots that exist, shape (N,); the others are left alone.
         limits: Largest acceleration [m/s^2], largest turn acceleration [rad/s^2], lag [s].
         duration: Time to advance [s].
     """
-    gap_x = velocity[0] - target[0]
-    gap_y = velocity[1] - target[1]
-    gap_turn = velocity[2] - target[2]
-    left, mean = approach(math.hypot(gap_x, gap_y), limits[0], limits[2], duration)
-    left_turn, mean_turn = approach(abs(gap_turn), limits[1], limits[2], duration)
-    pose[0], pose[1], pose[2] = advance_pose(
-        pose[0],
-        pose[1],
-        pose[2],
-        target[0] + mean * gap_x,
-        target[1] + mean * gap_y,
-        target[2] + mean_turn * gap_turn,
-        duration,
-    )
-    velocity[0] = target[0] + left * gap_x
-    velocity[1] = target[1] + left * gap_y
-    velocity[2] = target[2] + left_turn * gap_turn
+    limit, turn_limit, lag = limits[0], limits[1], limits[2]
+    for i in range(active.shape[0]):
+        if not active[i]:
+            continue
+        gap_x = velocities[i, 0] - targets[i, 0]
+        gap_y = velocities[i, 1] - targets[i, 1]
+        gap_turn = velocities[i, 2] - targets[i, 2]
+        left, mean = approach(math.sqrt(gap_x * gap_x + gap_y * gap_y), limit, lag, duration)
+        left_turn, mean_turn = approach(abs(gap_turn), turn_limit, lag, duration)
+        poses[i, 0], poses[i, 1], poses[i, 2] = advance_pose(
+            poses[i, 0],
+            poses[i, 1],
+            poses[i, 2],
+            targets[i, 0] + mean * gap_x,
+            targets[i, 1] + mean * gap_y,
+            targets[i, 2] + mean_turn * gap_turn,
+            duration,
+        )
+        velocities[i, 0] = targets[i, 0] + left * gap_x
+        velocities[i, 1] = targets[i, 1] + left * gap_y
+        velocities[i, 2] = targets[i, 2] + left_turn * gap_turn

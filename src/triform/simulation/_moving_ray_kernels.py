@@ -10,9 +10,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from triform.simulation._ray_kernels import keep_nearest
+from triform.geometry.cells import pairs_within
+from triform.simulation._ray_kernels import body_reach
 
 
 @njit(cache=True, nogil=True)
@@ -66,26 +67,41 @@ def _distance_to_wall(x1: float, y1: float, x2: float, y2: float, dx: float, dy:
 
 
 @njit(cache=True, nogil=True)
+def list_near(poses: Any, active: Any, distance: float) -> tuple[Any, Any]:
+    """List for every robot the others within ``distance`` [m], whatever the number of robots.
+
+    Returns:
+        Offsets of shape (N + 1,) and robots: those near to robot i are ``robots[offsets[i] : offsets[i + 1]]``.
+    """
+    pairs = pairs_within(poses, active, distance * distance)
+    offsets = np.zeros(active.shape[0] + 1, dtype=np.int64)
+    for pair in range(pairs.shape[0]):
+        offsets[pairs[pair, 0] + 1] += 1
+        offsets[pairs[pair, 1] + 1] += 1
+    for i in range(active.shape[0]):
+        offsets[i + 1] += offsets[i]
+    filled = offsets[:-1].copy()
+    robots = np.empty(2 * pairs.shape[0], dtype=np.int64)
+    for pair in range(pairs.shape[0]):
+        for side in range(2):
+            i = pairs[pair, side]
+            robots[filled[i]] = pairs[pair, 1 - side]
+            filled[i] += 1
+    return offsets, robots
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _nearest_along(
-    i: int,
-    dx: float,
-    dy: float,
-    places: Any,
-    active: Any,
-    half_length: float,
-    half_width: float,
-    is_circle: bool,
-    walls: Any,
-    pillars: Any,
-) -> float:
+    i: int, dx: float, dy: float, places: Any, first: int, last: int, near: Any, around: float, body: Any,
+    walls: Any, pillars: Any,
+) -> float:  # fmt: skip
     """Distance from robot ``i`` to the nearest obstacle in direction (dx, dy) [m]."""
     nearest = math.inf
-    around = half_length if is_circle else math.hypot(half_length, half_width)
+    half_length, half_width, is_circle = body
     x = places[i, 0]
     y = places[i, 1]
-    for j in range(places.shape[0]):
-        if j == i or not active[j]:
-            continue
+    for k in range(first, last):
+        j = near[k]
         ox = places[j, 0] - x
         oy = places[j, 1] - y
         if abs(dx * oy - dy * ox) > around or dx * ox + dy * oy < -around:
@@ -109,19 +125,16 @@ def cast_moving(
     start: Any,
     end: Any,
     active: Any,
-    half_length: float,
-    half_width: float,
-    is_circle: bool,
+    near: Any,
+    body: Any,
     walls: Any,
     pillars: Any,
-    angle_min: float,
+    scan: Any,
     offsets: Any,
     first_ray: int,
     last_ray: int,
     first_share: float,
     share_step: float,
-    range_min: float,
-    range_max: float,
     out: Any,
 ) -> None:
     """Cast rays ``first_ray <= k < last_ray`` of one world while its robots move from ``start`` to ``end``.
@@ -132,25 +145,25 @@ def cast_moving(
     Args:
         start: Poses at share 0, shape (N, 3) [m, m, rad].
         end: Poses at share 1, shape (N, 3) [m, m, rad].
-        active: As in ``cast_world``, like the footprint, the arena, ``angle_min`` and the limits of range.
-        half_length: See ``cast_world``.
-        half_width: See ``cast_world``.
-        is_circle: See ``cast_world``.
+        active: As in ``cast_world``, like the body and the arena.
+        near: Whom each robot may see, as ``list_near`` returns it.
+        body: See ``cast_world``.
         walls: See ``cast_world``.
         pillars: See ``cast_world``.
-        angle_min: See ``cast_world``.
-        offsets: Error of every ray's angle, shape (N, R) [rad].
+        scan: (angle of the first ray [rad], range_min [m], range_max [m]).
+        offsets: Error of every ray's angle, shape (N, R) [rad], or (N, 0) for none.
         first_ray: First ray to cast.
         last_ray: One past the last ray to cast.
         first_share: Share of the way at which the first ray is cast.
         share_step: Share of the way between two rays; 0 casts all at one moment.
-        range_min: See ``cast_world``.
-        range_max: See ``cast_world``.
         out: Ranges, shape (N, R); only the rays cast and only active robots are written [m].
     """
     robots = start.shape[0]
     increment = 2 * math.pi / out.shape[1]
     places = np.empty((robots, 5))
+    angle_min, range_min, range_max = scan
+    ends, others = near
+    around = body_reach(body)
     for k in range(first_ray, last_ray):
         if k == first_ray or share_step != 0.0:
             share = min(max(first_share + (k - first_ray) * share_step, 0.0), 1.0)
@@ -167,58 +180,45 @@ def cast_moving(
         for i in range(robots):
             if not active[i]:
                 continue
-            angle = places[i, 2] + angle_min + k * increment + offsets[i, k]
+            angle = places[i, 2] + angle_min + k * increment
+            if offsets.shape[1] > 0:
+                angle += offsets[i, k]
             found = _nearest_along(
-                i,
-                math.cos(angle),
-                math.sin(angle),
-                places,
-                active,
-                half_length,
-                half_width,
-                is_circle,
-                walls,
-                pillars,
+                i, math.cos(angle), math.sin(angle), places, ends[i], ends[i + 1], others, around, body, walls, pillars
             )
-            out[i, k] = math.inf
-            keep_nearest(out[i], k, found, range_min, range_max)
+            # As ``keep_nearest`` into an empty ray; rows of ``out`` are not taken, which costs in an inner loop.
+            out[i, k] = math.inf if found > range_max else -math.inf if found < range_min else found
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def cast_moving_worlds(
     start: Any,
     end: Any,
     active: Any,
-    half_length: float,
-    half_width: float,
-    is_circle: bool,
+    body: Any,
     walls: Any,
     pillars: Any,
-    angle_min: float,
+    scan: Any,
     offsets: Any,
     share_step: float,
-    range_min: float,
-    range_max: float,
     out: Any,
+    first: int,
+    last: int,
 ) -> None:
-    """``cast_moving`` of whole turns for B worlds in parallel; ``out`` must come filled with ``+inf``."""
-    for b in prange(start.shape[0]):
+    """``cast_moving`` of whole turns for the worlds ``first <= b < last``; ``out`` must come filled with ``+inf``."""
+    for b in range(first, last):
+        travel = 0.0
+        for i in range(active.shape[1]):
+            if active[b, i]:
+                travel = max(travel, math.hypot(end[b, i, 0] - start[b, i, 0], end[b, i, 1] - start[b, i, 1]))
+        near = list_near(start[b], active[b], seen_within(body, scan, travel))
         cast_moving(
-            start[b],
-            end[b],
-            active[b],
-            half_length,
-            half_width,
-            is_circle,
-            walls,
-            pillars,
-            angle_min,
-            offsets[b],
-            0,
-            out.shape[2],
-            0.0,
-            share_step,
-            range_min,
-            range_max,
-            out[b],
-        )
+            start[b], end[b], active[b], near, body, walls, pillars, scan, offsets[b], 0, out.shape[2], 0.0,
+            share_step, out[b],
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def seen_within(body: Any, scan: Any, travel: float) -> float:
+    """Distance of two centres [m] beyond which robots cannot see each other before both have gone ``travel`` [m]."""
+    return float((scan[2] + body_reach(body) + 2 * travel) * (1 + 1e-9))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from triform.simulation._drive_kernels import advance_pose, drive_robot, limit_twist
+from triform.simulation._drive_kernels import advance_pose, drive_team, limit_twist
 from triform.simulation.profiles import Drive
 from triform.types import FloatArray, require
 
@@ -114,14 +114,6 @@ def limit_twists(twists: FloatArray, drive: Drive) -> FloatArray:
     return limited
 
 
-@njit(cache=True, nogil=True)
-def _steer_into(
-    poses: FloatArray, velocities: FloatArray, targets: FloatArray, limits: FloatArray, duration: float
-) -> None:
-    for i in range(poses.shape[0]):
-        drive_robot(poses[i], velocities[i], targets[i], limits, duration)
-
-
 def steer(
     poses: FloatArray, velocities: FloatArray, commands: FloatArray, drive: Drive, duration: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -148,18 +140,13 @@ def steer(
     targets = limit_twists(commands, drive)
     _check_pair("poses", moved, "velocities", reached)
     _check_pair("poses", moved, "commands", targets)
-    _steer_into(
-        moved.reshape(-1, 3),
-        reached.reshape(-1, 3),
-        targets.reshape(-1, 3),
-        drive_limits(drive),
-        float(duration),
-    )
+    teams = [each.reshape(-1, 3) for each in (moved, reached, targets)]
+    drive_team(*teams, np.ones(len(teams[0]), dtype=np.bool_), drive_limits(drive), float(duration))
     return moved, reached
 
 
 def drive_limits(drive: Drive) -> FloatArray:
-    """Return the limits in the order that ``drive_robot`` takes: acceleration, turn acceleration, lag."""
+    """Return the limits in the order that ``drive_team`` takes: acceleration, turn acceleration, lag."""
     return np.array([drive.max_acceleration, drive.max_turn_acceleration, drive.lag], dtype=np.float64)
 
 

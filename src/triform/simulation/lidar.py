@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
+import functools
 
+import numpy as np
+from numpy.typing import DTypeLike
+
+from triform.geometry.cells import SMALL_TEAM, make_cells
+from triform.simulation._cast_kernels import cast_cells, cast_world, cast_worlds, sort_poses
 from triform.simulation._moving_ray_kernels import cast_moving_worlds
-from triform.simulation._ray_kernels import cast_world, cast_worlds
 from triform.simulation.arena import Arena
 from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
-from triform.threads import threads_for
-from triform.types import BoolArray, ConfigurationError, FloatArray, ScanConfig
+from triform.threads import in_parts, usable_threads
+from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig
 
-__all__ = ["angle_offsets", "apply_noise", "cast_rolling", "cast_scans", "cast_world", "noise_sigma"]
+__all__ = ["angle_offsets", "apply_noise", "cast_rolling", "cast_scans", "cast_world", "noise_sigma", "scan_rays"]
 
 #: Rays that keep a thread busy for about 2 ms.
 RAYS_PER_THREAD = 1_000_000
@@ -26,6 +30,13 @@ def _check_batch(poses: FloatArray, active: BoolArray) -> None:
         )
 
 
+@functools.lru_cache(maxsize=16)
+def scan_rays(config: ScanConfig) -> tuple[float, float, float, FloatArray, FloatArray]:
+    """Return a scan as the kernels take it: first angle, range_min, range_max, and every ray's cosine and sine."""
+    angles = config.angles
+    return float(config.angle_min), float(config.range_min), float(config.range_max), np.cos(angles), np.sin(angles)
+
+
 def cast_scans(
     poses: FloatArray,
     active: BoolArray,
@@ -33,7 +44,8 @@ def cast_scans(
     arena: Arena,
     config: ScanConfig,
     offsets: FloatArray | None = None,
-) -> FloatArray:
+    dtype: DTypeLike = np.float64,
+) -> RangeArray:
     """Return what every robot's LiDAR would measure at one instant, without range noise.
 
     Args:
@@ -43,6 +55,7 @@ def cast_scans(
         arena: Walls and pillars.
         config: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
+        dtype: Floating type of the ranges.
 
     Returns:
         Ranges, shape (B, N, R) [m]: ``+inf`` beyond ``range_max``, ``-inf`` below ``range_min`` and throughout for
@@ -52,24 +65,25 @@ def cast_scans(
         ConfigurationError: If the shapes do not fit.
     """
     if offsets is not None:
-        return cast_rolling(poses, poses, active, footprint, arena, config, offsets)
+        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype)
     _check_batch(poses, active)
-    ranges = np.empty((*poses.shape[:2], config.rays))
-    with threads_for(ranges.size, RAYS_PER_THREAD):
-        cast_worlds(
-            np.ascontiguousarray(poses, dtype=np.float64),
-            np.ascontiguousarray(active),
-            footprint.half_length,
-            footprint.half_width,
-            footprint.is_circle,
-            arena.walls,
-            arena.pillars,
-            float(config.angle_min),
-            config.rays,
-            float(config.range_min),
-            float(config.range_max),
-            ranges,
-        )
+    worlds, robots = active.shape
+    ranges = np.empty((worlds, robots, config.rays), dtype)
+    places, mask = np.ascontiguousarray(poses, dtype=np.float64), np.ascontiguousarray(active)
+    scene = (footprint.body, arena.walls, arena.pillars, scan_rays(config))
+    if robots <= SMALL_TEAM or worlds >= usable_threads():
+        in_parts(
+            lambda first, last: cast_worlds(places, mask, *scene, ranges, first, last),
+            worlds, ranges.size, RAYS_PER_THREAD,
+        )  # fmt: skip
+        return ranges
+    for b in range(worlds):
+        ranges[b, ~mask[b]] = np.inf
+        world = make_cells(places[b], mask[b])
+        in_parts(
+            functools.partial(cast_cells, world, *sort_poses(world, places[b]), *scene, ranges[b]),
+            len(world[2]), ranges[b].size, RAYS_PER_THREAD,
+        )  # fmt: skip
     return ranges
 
 
@@ -81,7 +95,8 @@ def cast_rolling(
     arena: Arena,
     config: ScanConfig,
     offsets: FloatArray | None = None,
-) -> FloatArray:
+    dtype: DTypeLike = np.float64,
+) -> RangeArray:
     """Return a turn in which ray k is measured at the share k / R of the way from ``start`` to ``end``.
 
     Positions move linearly and headings along the shorter turn; everybody, observer and observed, moves.
@@ -94,6 +109,7 @@ def cast_rolling(
         arena: Walls and pillars.
         config: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
+        dtype: Floating type of the ranges.
 
     Returns:
         Ranges, shape (B, N, R) [m], as ``cast_scans``.
@@ -104,31 +120,21 @@ def cast_rolling(
     _check_batch(start, active)
     _check_batch(end, active)
     shape = (*start.shape[:2], config.rays)
-    errors = np.zeros(shape) if offsets is None else np.ascontiguousarray(offsets, dtype=np.float64)
-    if errors.shape != shape:
+    errors = np.empty((*shape[:2], 0)) if offsets is None else np.ascontiguousarray(offsets, dtype=np.float64)
+    if offsets is not None and errors.shape != shape:
         raise ConfigurationError(f"angle offsets of shape {errors.shape} given; {shape} is needed")
-    ranges = np.full(shape, np.inf)
-    with threads_for(ranges.size, MOVING_RAYS_PER_THREAD):
-        cast_moving_worlds(
-            np.ascontiguousarray(start, dtype=np.float64),
-            np.ascontiguousarray(end, dtype=np.float64),
-            np.ascontiguousarray(active),
-            footprint.half_length,
-            footprint.half_width,
-            footprint.is_circle,
-            arena.walls,
-            arena.pillars,
-            float(config.angle_min),
-            errors,
-            0.0 if start is end else 1.0 / config.rays,
-            float(config.range_min),
-            float(config.range_max),
-            ranges,
-        )
+    ranges = np.full(shape, np.inf, dtype)
+    share_step = 0.0 if start is end else 1.0 / config.rays
+    ends = [np.ascontiguousarray(poses, dtype=np.float64) for poses in (start, end)]
+    scene = (np.ascontiguousarray(active), footprint.body, arena.walls, arena.pillars, scan_rays(config)[:3])
+    in_parts(
+        lambda first, last: cast_moving_worlds(*ends, *scene, errors, share_step, ranges, first, last),
+        len(ranges), ranges.size, MOVING_RAYS_PER_THREAD,
+    )  # fmt: skip
     return ranges
 
 
-def noise_sigma(ranges: FloatArray, noise: tuple[NoiseBand, ...]) -> FloatArray:
+def noise_sigma(ranges: RangeArray, noise: tuple[NoiseBand, ...]) -> FloatArray:
     """Return the standard deviation of the range noise at true ``ranges`` [m], 0 where there is no return."""
     finite = np.isfinite(ranges)
     if not noise:
@@ -147,7 +153,7 @@ def angle_offsets(shape: tuple[int, ...], lidar: LidarConfig, rng: np.random.Gen
     return rng.normal(0.0, lidar.angle_noise, shape)
 
 
-def apply_noise(ranges: FloatArray, lidar: LidarConfig, rng: np.random.Generator) -> FloatArray:
+def apply_noise(ranges: RangeArray, lidar: LidarConfig, rng: np.random.Generator) -> RangeArray:
     """Return ``ranges`` with Gaussian range noise and dropped rays; angle noise belongs into the casting.
 
     Args:

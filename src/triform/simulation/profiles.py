@@ -66,6 +66,11 @@ class Footprint:
         return self.width / 2
 
     @property
+    def body(self) -> tuple[float, float, bool]:
+        """The outline as the kernels take it: half length, half width [m] and whether it is a circle."""
+        return float(self.half_length), float(self.half_width), self.is_circle
+
+    @property
     def circumradius(self) -> float:
         """Radius of the smallest circle around the centre that holds the footprint [m]."""
         return self.half_length if self.is_circle else math.hypot(self.half_length, self.half_width)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from triform.simulation._spawn_kernels import first_valid, insert_in_turn, linked
+from triform.simulation._spawn_kernels import first_valid, insert_in_turn, linked, linked_groups
 from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError, require
 
 #: Smallest distance between two centres at the start, and from a robot that joins to the others [m].
@@ -17,6 +17,9 @@ SPACING = 0.5
 #: Up to this many robots whole placements are drawn until one is valid, which is exactly uniform over the valid
 #: placements. Beyond, hardly any whole placement is valid (about 10 % at 13 robots, 0.01 % at 50).
 _WHOLE_PLACEMENTS = 20
+#: Up to this many robots all are placed again if the placement is not connected: one in 20 is at 1,000 robots, and
+#: hardly any beyond.
+_REDRAWN = 1000
 _ROUNDS = 1000
 _CANDIDATES = 64
 _COLUMNS = ("run", "robot", "x", "y", "heading")
@@ -38,20 +41,37 @@ def _positions(robots: int, side: float, rng: np.random.Generator) -> FloatArray
             if index >= 0:
                 return np.array(candidates[index])
         else:
-            # One after the other (random sequential addition): each robot is uniform over what its
-            # predecessors leave free.
-            placed = np.empty((robots, 2))
-            single = side * (rng.random((4 * robots, 2)) - 0.5)
-            if insert_in_turn(single, SPACING, placed) == robots and linked(placed, SENSING_RANGE):
+            placed = _one_after_the_other(robots, side, rng)
+            if placed is not None and linked(placed, SENSING_RANGE):
                 return placed
     return None
+
+
+def _one_after_the_other(robots: int, side: float, rng: np.random.Generator) -> FloatArray | None:
+    """Draw a placement robot by robot, each uniform over what its predecessors leave free; ``None`` if it got stuck.
+
+    In a large team there is always someone whom nobody happens to be near to. Who does not belong to the largest
+    linked group is then placed again, uniformly over what is free and within reach of those in place.
+    """
+    placed = np.empty((robots, 2))
+    candidates = side * (rng.random((4 * robots, 2)) - 0.5)
+    if insert_in_turn(candidates, SPACING, np.inf, side, np.arange(robots), placed) < robots:
+        return None
+    if robots > _REDRAWN:
+        groups = linked_groups(placed, SENSING_RANGE)
+        missing = np.flatnonzero(groups != np.argmax(np.bincount(groups)))
+        candidates = side * (rng.random((64 * len(missing), 2)) - 0.5)
+        if insert_in_turn(candidates, SPACING, SENSING_RANGE, side, missing, placed) < len(missing):
+            return None
+    return placed
 
 
 def starts(robots: int, runs: int, seed: int, first: int = 0, side: float | None = None) -> FloatArray:
     """Return random starts; a start is a function of ``(robots, seed, index)`` (and ``side``) alone.
 
     Positions are uniform in a square around the origin such that no two centres are closer than 0.5 m and the
-    pairs within 2 m connect everybody; headings are uniform.
+    pairs within 2 m connect everybody; headings are uniform. (Of more than 1,000 robots, which hardly ever are
+    connected by chance, the few who are not are placed again where they are.)
 
     Args:
         robots: Robots in each run.

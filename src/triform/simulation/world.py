@@ -5,28 +5,33 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from triform.simulation._world_kernels import advance_worlds, record_contacts
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
-from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, angle_offsets, apply_noise, cast_scans
+from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, angle_offsets, apply_noise, cast_scans, scan_rays
 from triform.simulation.profiles import Profile
-from triform.threads import threads_for
+from triform.threads import in_parts
 from triform.types import (
     BoolArray,
     ConfigurationError,
     FloatArray,
     IntArray,
     PrivilegedView,
+    RangeArray,
     Scan,
     TriformError,
     require,
 )
 
+Floating = TypeVar("Floating", bound=np.floating[Any])
+
+#: Robots whose contacts keep a thread busy for a few milliseconds.
+RECORDS_PER_THREAD = 20_000
 #: Moments closer than this are the same moment [s].
 _SAME_TIME = 1e-9
 
@@ -99,8 +104,9 @@ class World:
         self._turn = 0
         self._next_ray = 0
         self._blank_turn()
-        self._newest = np.full((worlds, robots, lidar.scan.rays), np.inf)
-        self._finished: deque[tuple[float, FloatArray]] = deque()
+        # Until there is a scan, one number stands for all rays.
+        self._newest: RangeArray = np.broadcast_to(np.float32(np.inf), (worlds, robots, lidar.scan.rays))
+        self._finished: deque[tuple[float, RangeArray]] = deque()
         self._record()
         if not lidar.rolling:
             self._finish_scan(self._snapshot())
@@ -271,19 +277,12 @@ class World:
         return self._rngs[world, robot]
 
     def _record(self) -> None:
-        shape = self._profile.footprint
-        record_contacts(
-            self._poses,
-            self._active,
-            shape.half_length,
-            shape.half_width,
-            shape.is_circle,
-            self._arena.walls,
-            self._arena.pillars,
-            self._min_distance,
-            self._collided,
-            self._hit_arena,
-        )
+        scene = (self._profile.footprint.body, self._arena.walls, self._arena.pillars)
+        records = (self._min_distance, self._collided, self._hit_arena)
+        in_parts(
+            lambda first, last: record_contacts(self._poses, self._active, *scene, *records, first, last),
+            len(self._active), self._active.size, RECORDS_PER_THREAD,
+        )  # fmt: skip
 
     def _ray_bounds(self, substeps: int, step: float, elapsed: float, turn_ends: bool) -> IntArray:
         """Rays of the running turn that have fallen due before each of ``substeps`` and after the last."""
@@ -300,38 +299,22 @@ class World:
 
     def _advance(self, targets: FloatArray, duration: float, turn_ends: bool) -> None:
         """Move by ``duration`` [s], which lies within one turn of the LiDAR."""
-        shape, lidar = self._profile.footprint, self._profile.lidar
+        lidar = self._profile.lidar
         substeps = max(1, math.ceil(duration / self._profile.time_step - 1e-6))
         step = duration / substeps
         elapsed = self._time - self._turn * lidar.period
         bounds = self._ray_bounds(substeps, step, elapsed, turn_ends)
         # Driving a robot for a step takes about as long as casting two rays.
         rays = self._active.size * (2 * substeps + int(bounds[-1] - bounds[0]))
-        with threads_for(rays, MOVING_RAYS_PER_THREAD):
-            advance_worlds(
-                self._poses,
-                self._velocities,
-                targets,
-                self._active,
-                drive_limits(self._profile.drive),
-                step,
-                shape.half_length,
-                shape.half_width,
-                shape.is_circle,
-                self._arena.walls,
-                self._arena.pillars,
-                self._min_distance,
-                self._collided,
-                self._hit_arena,
-                bounds,
-                elapsed,
-                lidar.period / lidar.scan.rays,
-                float(lidar.scan.angle_min),
-                self._offsets,
-                float(lidar.scan.range_min),
-                float(lidar.scan.range_max),
-                self._turn_ranges,
-            )
+        motion = (self._poses, self._velocities, targets, self._active, drive_limits(self._profile.drive), step)
+        scene = (self._profile.footprint.body, self._arena.walls, self._arena.pillars)
+        records = (self._min_distance, self._collided, self._hit_arena)
+        timing = (bounds, elapsed, lidar.period / lidar.scan.rays)
+        turn = (scan_rays(lidar.scan)[:3], self._offsets, self._turn_ranges)
+        in_parts(
+            lambda first, last: advance_worlds(*motion, *scene, *records, *timing, *turn, first, last),
+            len(self._active), rays, MOVING_RAYS_PER_THREAD,
+        )  # fmt: skip
         self._next_ray = int(bounds[-1])
 
     def _end_turn(self) -> None:
@@ -345,25 +328,26 @@ class World:
         lidar = self._profile.lidar
         # A LiDAR that measures all rays at once keeps no turn.
         shape = (*self._active.shape, lidar.scan.rays if lidar.rolling else 0)
-        self._turn_ranges = np.full(shape, np.inf)
-        self._offsets = self._draw_offsets(shape)
+        self._turn_ranges = np.full(shape, np.inf, np.float32)
+        self._offsets = self._draw_offsets(shape) if lidar.angle_noise > 0 else np.empty((*shape[:2], 0))
 
     def _draw_offsets(self, shape: tuple[int, ...]) -> FloatArray:
         offsets = np.zeros(shape)
-        if self._profile.lidar.angle_noise > 0 and shape[2] > 0:
+        if shape[2] > 0:
             for b, i in np.argwhere(self._active):
                 offsets[b, i] = angle_offsets(shape[2:], self._profile.lidar, self._rng(b, i))
         return offsets
 
-    def _snapshot(self) -> FloatArray:
+    def _snapshot(self) -> RangeArray:
         """All rays at this moment, without range noise."""
         lidar = self._profile.lidar
         offsets = None
         if lidar.angle_noise > 0:
             offsets = self._draw_offsets((*self._active.shape, lidar.scan.rays))
-        return cast_scans(self._poses, self._active, self._profile.footprint, self._arena, lidar.scan, offsets)
+        scene = (self._profile.footprint, self._arena, lidar.scan)
+        return cast_scans(self._poses, self._active, *scene, offsets, np.float32)
 
-    def _finish_scan(self, ranges: FloatArray) -> None:
+    def _finish_scan(self, ranges: RangeArray) -> None:
         if self._noisy:
             for b, i in np.argwhere(self._active):
                 ranges[b, i] = apply_noise(ranges[b, i], self._profile.lidar, self._rng(b, i))
@@ -372,7 +356,7 @@ class World:
     def _grow(self) -> None:
         """Append one place to axis N of everything."""
 
-        def padded(values: FloatArray, fill: float) -> FloatArray:
+        def padded(values: NDArray[Floating], fill: float) -> NDArray[Floating]:
             return np.pad(values, ((0, 0), (0, 1), (0, 0)), constant_values=fill)
 
         self._active = np.pad(self._active, ((0, 0), (0, 1)))

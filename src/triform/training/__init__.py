@@ -1,6 +1,7 @@
 """Learning: one loop, its presets and its logs."""
 
-from triform.training.loop import Progress, train
-from triform.training.presets import PRESETS, TrainConfig, get_preset
+from triform.training.books import Progress
+from triform.training.loop import train
+from triform.training.presets import PRESETS, Precision, TrainConfig, get_preset
 
-__all__ = ["PRESETS", "Progress", "TrainConfig", "get_preset", "train"]
+__all__ = ["PRESETS", "Precision", "Progress", "TrainConfig", "get_preset", "train"]

@@ -8,6 +8,7 @@ training, and this tells each token what the command's sum is made of. The head 
 from __future__ import annotations
 
 import numpy as np
+import torch
 from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor, nn
@@ -103,12 +104,16 @@ class AuxiliaryHead(nn.Module):
         super().__init__()
         self.layers = nn.Sequential(nn.LayerNorm(dim), nn.Linear(dim, dim), nn.GELU(), nn.Linear(dim, TARGETS))
 
-    def loss(self, features: Tensor, targets: Tensor, valid: Tensor) -> Tensor:
-        """Mean loss over the tokens that have targets; features (K, D), targets (K, 5), valid (K,)."""
-        predicted = self.layers(features)
-        term = (predicted[:, :2] - targets[:, :2]).square().mean(1)
-        offset = (predicted[:, 2:4] - targets[:, 2:4]).square().mean(1)
-        edge = functional.binary_cross_entropy_with_logits(predicted[:, 4], targets[:, 4], reduction="none")
-        weight = valid.to(features.dtype)
-        loss: Tensor = (weight * (term + 0.1 * offset + 0.1 * edge)).sum() / weight.sum().clamp(min=1.0)
-        return loss
+    def forward(self, features: Tensor) -> Tensor:
+        """Predicted targets (K, 5) of encoded tokens (K, D)."""
+        out: Tensor = self.layers(features)
+        return out
+
+
+def auxiliary_loss(predicted: Tensor, targets: Tensor, valid: Tensor) -> Tensor:
+    """Sum of the losses of the tokens that have targets; predicted and targets (K, 5), valid (K,)."""
+    squares = (predicted[:, :4] - targets[:, :4]).square()
+    edge = functional.binary_cross_entropy_with_logits(predicted[:, 4], targets[:, 4], reduction="none")
+    each = squares[:, :2].mean(1) + 0.1 * squares[:, 2:].mean(1) + 0.1 * edge
+    # Not a product with the mask: a token without targets must not count even where its loss overflows.
+    return torch.where(valid, each, 0.0).sum()

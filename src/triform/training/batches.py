@@ -1,57 +1,98 @@
-"""Mini-batches for the loop: drawn afresh or read from a data set, packed in the background."""
+"""Mini-batches for the loop: drawn afresh or read from a data set, and packed."""
 
 from __future__ import annotations
 
 import itertools
-import queue
-import threading
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from triform.control import Teacher, expert_variant
-from triform.dataset import MANIFEST, Demonstrations, Records, Split, draw_fresh, neighbours
+from triform.dataset import MANIFEST, Demonstrations, FreshBatch, Records, Split, draw_fresh, neighbours
 from triform.files import sha256
 from triform.policy import PackedMaps, pack
+from triform.policy.vit import TokenBatch, to_device, token_batch
 from triform.training.auxiliary import token_targets
 from triform.training.presets import TrainConfig
+from triform.training.processes import ALONE, Processes
 from triform.types import FloatArray, MapArray, TriformError
 
 #: Maps of the validation set, about.
 VALIDATION_MAPS = 4000
-_QUEUE_LENGTH = 4
 _FRESH_STREAM = 0
 _VALIDATION_STREAM = 1
+#: Parts of a fresh mini-batch, each drawn from a stream of its own, so that processes can share the drawing.
+_PARTS = 8
+#: Packed mini-batches are filled up to multiples of these, because matrix products of a size that was met before start
+#: at once, whereas a new size has its kernels compiled first.
+_TOKEN_STEP = 128
+_MAP_STEP = 8
 
 
 @dataclass(frozen=True)
 class TrainBatch:
-    """A mini-batch of M maps with K tokens.
+    """A mini-batch of M maps with K tokens, or the share of it that falls to one process.
 
     Attributes:
-        packed: The maps.
-        commands: The teacher's body twists [m/s, m/s, rad/s], shape (M, 3).
+        packed: The maps, and behind them others that only fill up the batch to a size that was met before.
+        commands: The teacher's body twists [m/s, m/s, rad/s] for the maps that are meant, shape (M, 3).
         targets: Auxiliary targets of the tokens, shape (K, 5).
         valid: Tokens that have targets, shape (K,).
+        maps: Maps of the whole mini-batch.
     """
 
     packed: PackedMaps
     commands: NDArray[np.float32]
     targets: NDArray[np.float32]
     valid: NDArray[np.bool_]
+    maps: int
+
+    def to(self, device: torch.device) -> DeviceBatch:
+        """The mini-batch in PyTorch."""
+        commands, targets, valid = (to_device(array, device) for array in (self.commands, self.targets, self.valid))
+        return DeviceBatch(token_batch(self.packed, device), commands, targets, valid)
+
+
+@dataclass(frozen=True)
+class DeviceBatch:
+    """A ``TrainBatch`` on the device where it is used; attributes as there."""
+
+    tokens: TokenBatch
+    commands: Tensor
+    targets: Tensor
+    valid: Tensor
 
 
 def _prepare(
-    maps: MapArray, commands: NDArray[np.floating], neighbours_body: FloatArray, config: TrainConfig
+    maps: MapArray, commands: NDArray[np.floating], neighbours_body: FloatArray, config: TrainConfig, whole: int
 ) -> TrainBatch:
-    patch = config.network.patch
-    packed = pack(maps, patch, config.network.attention)
+    patch, network = config.network.patch, config.network
+    packed = pack(maps, patch, network.attention)
     odd_gain = expert_variant(config.teacher).odd_gain
     targets, valid = token_targets(packed, neighbours_body, config.map, patch, config.distance, odd_gain)
-    return TrainBatch(packed, commands.astype(np.float32), targets, valid)
+    if network.attention == "occupied":
+        packed = _filled_up(packed)
+        missing = len(packed.patches) - len(targets)
+        targets, valid = np.pad(targets, ((0, missing), (0, 0))), np.pad(valid, (0, missing))
+    return TrainBatch(packed, commands.astype(np.float32), targets, valid, whole)
+
+
+def _filled_up(packed: PackedMaps) -> PackedMaps:
+    """Append maps of empty patches, between one and two ``_MAP_STEP`` of them, up to the next steps in both sizes."""
+    tokens = -len(packed.patches) % _TOKEN_STEP
+    maps = _MAP_STEP + -len(packed.counts) % _MAP_STEP
+    counts = tokens * np.arange(maps + 1) // maps
+    return PackedMaps(
+        np.pad(packed.patches, ((0, tokens), (0, 0))),
+        np.pad(packed.positions, (0, tokens)),
+        np.concatenate([packed.counts, np.diff(counts)]),
+    )
 
 
 def _validation_count(config: TrainConfig) -> int:
@@ -76,19 +117,41 @@ class FreshSource:
         #: Fresh demonstrations need no data set.
         self.checksum: str | None = None
 
-    def batches(self, start: int) -> Iterator[TrainBatch]:
-        """Mini-batches from number ``start`` on, without end."""
-        return (self._draw(_FRESH_STREAM, index) for index in itertools.count(start))
+    def batches(self, start: int, processes: Processes = ALONE) -> Iterator[Callable[[], TrainBatch]]:
+        """Tasks that draw the mini-batches from number ``start`` on, or the share of a process in them, without end."""
+        return (partial(self._draw, _FRESH_STREAM, index, processes) for index in itertools.count(start))
 
     def validation(self) -> list[TrainBatch]:
         """Mini-batches that training never draws."""
-        return [self._draw(_VALIDATION_STREAM, index) for index in range(_validation_count(self._config))]
+        return [self._draw(_VALIDATION_STREAM, index, ALONE) for index in range(_validation_count(self._config))]
 
-    def _draw(self, stream: int, index: int) -> TrainBatch:
+    def _draw(self, stream: int, index: int, processes: Processes) -> TrainBatch:
+        """Draw the parts of a mini-batch of one team size that fall to a process."""
         config = self._config
-        rng = np.random.default_rng(np.random.SeedSequence([config.seed, stream, index]))
-        fresh = draw_fresh(rng, config.batch_maps, self._teacher, config.states, config.scan, config.map)
-        return _prepare(fresh.maps, fresh.commands, fresh.neighbours, config)
+        seeds = np.random.SeedSequence([config.seed, stream, index]).spawn(1 + _PARTS)
+        robots = int(np.random.default_rng(seeds[0]).choice(np.array(config.states.robots)))
+        states = replace(config.states, robots=(robots,))
+        records = max(1, round(config.batch_maps / robots))
+        first, last = processes.share(_PARTS)
+        parts = []
+        for part in range(first, last):
+            count = records * (part + 1) // _PARTS - records * part // _PARTS
+            if count > 0:
+                rng = np.random.default_rng(seeds[1 + part])
+                parts.append(draw_fresh(rng, count * robots, self._teacher, states, config.scan, config.map))
+        maps, commands, around = _joined(parts, robots, config.map.size)
+        return _prepare(maps, commands, around, config, records * robots)
+
+
+def _joined(parts: list[FreshBatch], robots: int, size: int) -> tuple[MapArray, FloatArray, FloatArray]:
+    """Maps, commands and neighbours of several parts, of which there may be none."""
+    nothing = FreshBatch(np.empty((0, size, size), np.uint8), np.empty((0, 3)), np.empty((0, robots - 1, 3)))
+    parts = parts or [nothing]
+    return (
+        np.concatenate([part.maps for part in parts]),
+        np.concatenate([part.commands for part in parts]),
+        np.concatenate([part.neighbours for part in parts]),
+    )
 
 
 class StoredSource:
@@ -119,72 +182,32 @@ class StoredSource:
         batch_maps = self._records * collected.robots
         self.steps = self._epoch if config.maps is None else -(-config.maps // batch_maps)
 
-    def batches(self, start: int) -> Iterator[TrainBatch]:
-        """Mini-batches from number ``start`` on, without end."""
+    def batches(self, start: int, processes: Processes = ALONE) -> Iterator[Callable[[], TrainBatch]]:
+        """Tasks that make the mini-batches from number ``start`` on, or the share of a process, without end."""
         epoch, begin = divmod(start, self._epoch)
         while True:
             for records in self._demonstrations.batches(
                 "train", self._records, seed=self._config.seed, epoch=epoch, start=begin
             ):
-                yield self._read(records)
+                yield partial(self._read, records, processes)
             epoch, begin = epoch + 1, 0
 
     def validation(self) -> list[TrainBatch]:
         """Some of the records that are held out; of the training records if none are."""
         split: Split = "validation" if self._demonstrations.records("validation") else "train"
         records = self._demonstrations.batches(split, self._records, seed=self._config.seed)
-        return [self._read(each) for each in itertools.islice(records, _validation_count(self._config))]
+        return [self._read(each, ALONE) for each in itertools.islice(records, _validation_count(self._config))]
 
-    def _read(self, records: Records) -> TrainBatch:
+    def _read(self, records: Records, processes: Processes) -> TrainBatch:
+        whole = len(records) * self._demonstrations.manifest.config.robots
+        records = records.part(*processes.share(len(records)))
         around = neighbours(records.poses, expert_variant(self._config.teacher).sensing_range)
         commands: NDArray[np.floating] = records.commands
         if self._relabel is not None:
             commands = self._relabel.label(records.poses).reshape(-1, 3)
-        return _prepare(records.maps(), commands, around, self._config)
+        return _prepare(records.maps(), commands, around, self._config, whole)
 
 
 def open_source(config: TrainConfig, data: Path | None) -> FreshSource | StoredSource:
     """Demonstrations stored in ``data``, or fresh ones if it is ``None``."""
     return FreshSource(config) if data is None else StoredSource(config, data)
-
-
-class Prefetched:
-    """Produces the batches of an iterator in a background thread; use as a context manager and iterate."""
-
-    def __init__(self, batches: Iterator[TrainBatch]) -> None:
-        self._batches = batches
-        self._queue: queue.Queue[TrainBatch | Exception | None] = queue.Queue(_QUEUE_LENGTH)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._produce, name="batches", daemon=True)
-
-    def _produce(self) -> None:
-        try:
-            for batch in self._batches:
-                if not self._put(batch):
-                    return
-            self._put(None)
-        except Exception as error:  # noqa: BLE001 - whatever it is, the consumer raises it
-            self._put(error)
-
-    def _put(self, item: TrainBatch | Exception | None) -> bool:
-        while not self._stop.is_set():
-            try:
-                self._queue.put(item, timeout=0.1)
-            except queue.Full:
-                continue
-            return True
-        return False
-
-    def __enter__(self) -> Iterator[TrainBatch]:
-        self._thread.start()
-        return self._consume()
-
-    def _consume(self) -> Iterator[TrainBatch]:
-        while (item := self._queue.get()) is not None:
-            if isinstance(item, Exception):
-                raise item
-            yield item
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()

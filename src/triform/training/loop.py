@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,46 +13,29 @@ import torch
 from torch import Tensor, nn
 
 from triform.files import exclusive, make_folder, write_atomically
-from triform.policy import PolicySpec
-from triform.policy.vit import VisionTransformer, token_batch
-from triform.policy.weights import save_policy
-from triform.training.auxiliary import AuxiliaryHead
-from triform.training.batches import FreshSource, Prefetched, StoredSource, TrainBatch, open_source
-from triform.training.logs import TrainingLog
+from triform.policy.vit import VisionTransformer
+from triform.training.auxiliary import AuxiliaryHead, auxiliary_loss
+from triform.training.batches import DeviceBatch, TrainBatch, open_source
+from triform.training.books import STATE_FILE, Books, Progress
+from triform.training.flat import FlatParameters
+from triform.training.precision import matrix_products, reduced
+from triform.training.prefetch import Prefetched
 from triform.training.presets import TrainConfig
-from triform.training.state import load_state, read_progress, save_state
+from triform.training.processes import Processes, joined, local_device
+from triform.training.state import load_state, read_progress
 from triform.training.stopping import stop_requests
-from triform.types import TriformError
+from triform.types import TriformError, require
 
-STATE_FILE = "state.safetensors"
 CONFIG_FILE = "train.json"
 
 
-@dataclass(frozen=True)
-class Progress:
-    """What the loop reports while it runs.
-
-    Attributes:
-        step: Steps done.
-        steps: Steps to do.
-        maps: Maps seen.
-        maps_per_second: Rate since the start or resumption.
-        loss: Mean command loss of the last steps.
-    """
-
-    step: int
-    steps: int
-    maps: int
-    maps_per_second: float
-    loss: float
-
-
 def command_loss(predicted: Tensor, wanted: Tensor, kind: str) -> Tensor:
-    """Loss of body twists, shape (M, 3): mean Euclidean norm of the error, or its mean square."""
+    """Losses of body twists, shape (M, 3), summed over maps: Euclidean norm of the error, or its mean square."""
+    squares = (predicted - wanted).square()
     if kind == "mse":
-        return (predicted - wanted).square().mean()
+        return squares.mean(1).sum()
     # The small constant keeps the gradient finite at zero error.
-    return ((predicted - wanted).square().sum(1) + 1e-8).sqrt().mean()
+    return (squares.sum(1) + 1e-8).sqrt().sum()
 
 
 def learning_rate(config: TrainConfig, step: int, steps: int) -> float:
@@ -71,48 +53,31 @@ class Learner(nn.Module):
         self.policy = VisionTransformer(config.network)
         self.auxiliary = AuxiliaryHead(config.network.dim) if config.auxiliary > 0 else None
 
-    def losses(self, batch: TrainBatch, config: TrainConfig, device: torch.device) -> tuple[Tensor, Tensor]:
-        """Command loss and total loss of a mini-batch."""
-        tokens = token_batch(batch.packed, device)
-        # Reduced precision pays on a GPU only; losses are always taken in full precision.
-        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
-            token_features, class_features = self.policy.encode(tokens)
-            commands = self.policy.command(class_features)
-        command = command_loss(commands.float(), torch.from_numpy(batch.commands).to(device), config.loss)
-        if self.auxiliary is None:
+    def losses(self, batch: DeviceBatch, config: TrainConfig, maps: float, tokens: float) -> tuple[Tensor, Tensor]:
+        """Command loss and total loss of a mini-batch: sums over what it holds, over the numbers to divide by.
+
+        Args:
+            batch: The mini-batch, or the share of it that falls to this process.
+            config: What is trained.
+            maps: Maps of the whole mini-batch.
+            tokens: Tokens with targets in the whole mini-batch.
+        """
+        with reduced(config.precision, batch.commands.device):
+            token_features, class_features = self.policy.encode(batch.tokens)
+            commands = self.policy.command(class_features)[: len(batch.commands)]
+            predicted = self.auxiliary(token_features) if self.auxiliary is not None else None
+        command = command_loss(commands.float(), batch.commands, config.loss) / maps
+        if predicted is None:
             return command, command
-        targets = torch.from_numpy(batch.targets).to(device)
-        valid = torch.from_numpy(batch.valid).to(device)
-        return command, command + config.auxiliary * self.auxiliary.loss(token_features.float(), targets, valid)
+        auxiliary = auxiliary_loss(predicted.float(), batch.targets, batch.valid) / tokens
+        return command, command + config.auxiliary * auxiliary
 
 
-def make_optimizer(config: TrainConfig, learner: nn.Module) -> torch.optim.Optimizer:
+def make_optimizer(config: TrainConfig, parameters: FlatParameters) -> torch.optim.Optimizer:
     """The optimiser that a configuration names."""
     if config.optimizer == "rmsprop":
-        return torch.optim.RMSprop(learner.parameters(), lr=config.learning_rate)
-    return torch.optim.AdamW(
-        learner.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
-    )
-
-
-@torch.no_grad()
-def validate(learner: Learner, batches: list[TrainBatch], device: torch.device) -> dict[str, float]:
-    """Command errors [m/s] on fixed demonstrations: their mean norm, and the median where little is commanded.
-
-    States with a command below 0.1 m/s are near equilibrium; the error there is what limits the formation error.
-    """
-    learner.eval()
-    errors, sizes = [], []
-    for batch in batches:
-        wanted = torch.from_numpy(batch.commands).to(device)
-        errors.append((learner.policy(token_batch(batch.packed, device)) - wanted).norm(dim=1))
-        sizes.append(wanted.norm(dim=1))
-    learner.train()
-    error, small = torch.cat(errors), torch.cat(sizes) < 0.1
-    return {
-        "error_mean": float(error.mean()),
-        "error_median_settled": float(error[small].median()) if bool(small.any()) else math.nan,
-    }
+        return torch.optim.RMSprop([parameters.values], lr=config.learning_rate)
+    return torch.optim.AdamW([parameters.values], lr=config.learning_rate, weight_decay=config.weight_decay, fused=True)
 
 
 def _check_same_run(out: Path, config: TrainConfig, data: str | None, resume: bool) -> None:
@@ -154,17 +119,22 @@ def train(
     data: Path | None = None,
     resume: bool = False,
     device: str = "cpu",
+    producers: int | None = None,
     report: Callable[[Progress], None] = lambda _: None,
     save_seconds: float = 60.0,
 ) -> Path:
     """Train a policy; killed at any moment, it continues exactly where its last saved state was.
 
+    Under ``torchrun`` several processes train one policy: each takes its share of every mini-batch, and gradients
+    are those of the whole. The first process alone writes and reports; all must see ``out`` and ``data``.
+
     Args:
         config: What to train and how.
         out: Folder for state, logs and the best and last policy.
         data: Stored demonstrations; fresh ones are drawn if ``None``.
-        resume: Continue the run in ``out``.
-        device: PyTorch device.
+        resume: Continue the run in ``out``, with as many processes as you like.
+        device: PyTorch device; of ``cuda``, each process of a machine takes one.
+        producers: Threads that make mini-batches ahead of time; by default one on the CPU and four for a GPU.
         report: Called after every step.
         save_seconds: Time between two saved states [s].
 
@@ -172,81 +142,76 @@ def train(
         Folder of the best policy.
 
     Raises:
-        TriformError: If a folder, the data or the device do not fit, or the loss stops being finite.
+        TriformError: If a folder, the data or the device do not fit, another process is lost, or the loss stops being
+            finite.
         KeyboardInterrupt: After Ctrl-C or SIGTERM, once the step under way is done and saved.
     """
-    target = usable_device(device)
-    source = open_source(config, data)
-    make_folder(out)
-    with exclusive(out):
-        _check_same_run(out, config, source.checksum, resume)
-        return _train(config, out, source, target, resume, report, save_seconds)
-
-
-def _train(
-    config: TrainConfig,
-    out: Path,
-    source: FreshSource | StoredSource,
-    target: torch.device,
-    resume: bool,
-    report: Callable[[Progress], None],
-    save_seconds: float,
-) -> Path:
-    torch.manual_seed(config.seed)
-    learner = Learner(config).to(target)
-    optimizer = make_optimizer(config, learner)
-    record: dict[str, Any] = {"step": 0, "maps": 0, "loss": math.nan, "best": math.inf}
-    state_path = out / STATE_FILE
-    if resume and state_path.exists():
-        load_state(state_path, learner, optimizer)
-        record = read_progress(state_path)
-    spec = PolicySpec(config.network, config.scan, config.map, config.distance, config.record())
-    steps = source.steps
-    validate_every, log_every = max(1, steps // 50), max(1, steps // 1000)
-    checks = source.validation()
-    began, maps_before, saved = time.monotonic(), record["maps"], time.monotonic()
-
-    with (
-        stop_requests() as stopping,
-        Prefetched(source.batches(record["step"])) as batches,
-        TrainingLog(out, record["step"]) as log,
-    ):
-        for step in range(record["step"], steps):
+    target = usable_device(local_device(device))
+    if producers is None:
+        producers = 1 if target.type == "cpu" else 4
+    require(producers >= 1, f"producers is {producers}; it must be at least 1")
+    with joined(target) as processes, matrix_products(config.precision), ExitStack() as held:
+        source = open_source(config, data)
+        if processes.first:
+            make_folder(out)
+            held.enter_context(exclusive(out))
+            _check_same_run(out, config, source.checksum, resume)
+        processes.wait()
+        torch.manual_seed(config.seed)
+        learner = Learner(config).to(target)
+        parameters = FlatParameters(learner)
+        optimizer = make_optimizer(config, parameters)
+        record: dict[str, Any] = {"step": 0, "maps": 0, "loss": math.nan, "best": math.inf}
+        if resume and (out / STATE_FILE).exists():
+            load_state(out / STATE_FILE, learner, optimizer)
+            record = read_progress(out / STATE_FILE)
+        stopping = held.enter_context(stop_requests())
+        books = None
+        if processes.first:
+            policy = learner.policy
+            books = Books(out, config, source, learner, policy, optimizer, record, report, save_seconds)
+            held.enter_context(books)
+        # Nobody writes a state that another has yet to read.
+        processes.wait()
+        prefetched = Prefetched(source.batches(record["step"], processes), producers)
+        batches = held.enter_context(prefetched)
+        for step in range(record["step"], source.steps):
             batch = next(batches)
-            for group in optimizer.param_groups:
-                group["lr"] = learning_rate(config, step, steps)
-            command, total = learner.losses(batch, config, target)
-            optimizer.zero_grad()
-            torch.autograd.backward(total)
-            norm = float(nn.utils.clip_grad_norm_(learner.parameters(), config.clip or math.inf))
-            loss = float(command.detach())
+            shared = torch.tensor([batch.valid.sum(), stopping()], dtype=torch.float64)
+            processes.add(shared)
+            tokens, stops = shared.tolist()
+            loss, norm = _gradient(learner, parameters, processes, batch, config, max(tokens, 1.0))
             # Before the step, so that weights that are not finite are never kept.
             if not math.isfinite(loss + norm):
                 raise TriformError(
                     f"training diverged at step {step + 1}: the loss is {loss}, its gradient's norm {norm}"
                 )
+            for group in optimizer.param_groups:
+                group["lr"] = learning_rate(config, step, source.steps)
             optimizer.step()
-
-            record["loss"] = loss if step == 0 else 0.98 * record["loss"] + 0.02 * loss
-            record["maps"] += len(batch.commands)
-            done = step + 1
-            rate = (record["maps"] - maps_before) / max(time.monotonic() - began, 1e-9)
-            report(Progress(done, steps, record["maps"], rate, record["loss"]))
-            if done % log_every == 0 or done == steps:
-                log.write(done, {"maps": record["maps"], "loss": record["loss"], "maps_per_second": rate})
-            if done % validate_every == 0 or done == steps:
-                scores = validate(learner, checks, target)
-                if not math.isfinite(scores["error_mean"]):
-                    raise TriformError(f"training diverged at step {done}: the network's commands are not finite")
-                log.write(done, {"maps": record["maps"], **scores})
-                save_policy(out / "last", learner.policy, spec)
-                if scores["error_mean"] < record["best"]:
-                    record["best"] = scores["error_mean"]
-                    save_policy(out / "best", learner.policy, spec)
-            stop = stopping() and done < steps
-            if stop or time.monotonic() - saved > save_seconds or done == steps:
-                save_state(state_path, learner, optimizer, {**record, "step": done})
-                saved = time.monotonic()
+            stop = stops > 0 and step + 1 < source.steps
+            if books is not None:
+                books.enter(loss, batch.maps, prefetched.waited, save=stop)
             if stop:
                 raise KeyboardInterrupt
     return out / "best"
+
+
+def _gradient(
+    learner: Learner,
+    parameters: FlatParameters,
+    processes: Processes,
+    batch: TrainBatch,
+    config: TrainConfig,
+    tokens: float,
+) -> tuple[float, float]:
+    """Take the clipped gradient of a whole mini-batch; return its command loss and the norm before clipping."""
+    parameters.gradient.zero_()
+    here = batch.to(parameters.gradient.device)
+    command, total = learner.losses(here, config, batch.maps, tokens)
+    torch.autograd.backward(total)
+    parameters.gradient[-1] = command.detach()
+    processes.add(parameters.gradient)
+    norm = parameters.clip(config.clip)
+    loss, size = torch.stack([parameters.gradient[-1], norm]).tolist()
+    return loss, size

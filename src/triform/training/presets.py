@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from triform.control import expert_variant
 from triform.dataset import StateConfig
 from triform.policy import NetworkConfig
 from triform.types import ConfigurationError, MapConfig, ScanConfig, require
+
+Precision = Literal["float32", "medium", "bfloat16"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,9 @@ class TrainConfig:
         distance: Prescribed neighbour distance d* [m].
         teacher: Who labels the demonstrations.
         seed: Seed of weights and data.
+        precision: Arithmetic of matrix products: ``float32`` is PyTorch's default, ``medium`` lets PyTorch choose a
+            faster kind of float32 (see ``precision.py``), ``bfloat16`` also rounds what enters them. Weights, sums and
+            losses are float32 throughout.
         states: Which fresh states are drawn.
         scan: The LiDAR.
         map: The occupancy map.
@@ -52,6 +57,7 @@ class TrainConfig:
     distance: float = 1.0
     teacher: str = "expert-odd"
     seed: int = 1
+    precision: Precision = "medium"
     states: StateConfig = field(default_factory=StateConfig)
     scan: ScanConfig = field(default_factory=ScanConfig)
     map: MapConfig = field(default_factory=MapConfig)
@@ -71,6 +77,10 @@ class TrainConfig:
         require(self.distance > 0, f"distance is {self.distance} m; it must be positive")
         require(self.schedule in ("cosine", "constant"), f"there is no schedule {self.schedule!r}")
         require(self.loss in ("norm", "mse"), f"there is no loss {self.loss!r}")
+        require(
+            self.precision in get_args(Precision),
+            f"precision is {self.precision!r}; it must be one of {', '.join(get_args(Precision))}",
+        )
         expert_variant(self.teacher)
         require(self.optimizer in ("adamw", "rmsprop"), f"there is no optimizer {self.optimizer!r}")
 

@@ -1,0 +1,212 @@
+"""The Ray engine: processes of this machine or of a whole cluster. The only module that imports Ray.
+
+No file system is shared: tasks, items and results travel as bytes.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import socket
+from collections.abc import Callable, Generator, Sequence
+from itertools import islice
+from typing import Any
+
+import ray
+from ray import cloudpickle
+
+from triform.engines.identity import differences, identity
+from triform.engines.interface import Item, Report, Result, Task
+from triform.threads import limit_threads, usable_threads
+from triform.types import ConfigurationError, TriformError, require
+
+#: How often an item is begun again because its worker or its machine died.
+_RETRIES = 10
+#: How long a cluster may take to answer at all [s].
+_PATIENCE = 5.0
+#: Room for results that wait to be taken [bytes]: of a Ray instance of our own, and for each of its workers.
+_STORE, _STORE_PER_WORKER = 128 * 2**20, 32 * 2**20
+
+
+class RayEngine:
+    """Works in Ray's workers, one processor for each item; an item whose worker dies is begun again elsewhere."""
+
+    def __init__(self, threads: int | None = None, address: str | None = None) -> None:
+        """Connect to a cluster, or start Ray on this machine alone.
+
+        Args:
+            threads: Items worked on at once; all processors of this machine or of the cluster if ``None``.
+            address: ``host:port`` of a cluster's head, or ``auto`` for the one that this machine belongs to; if
+                ``None``, Ray is started here and shut down by ``close``.
+
+        Raises:
+            TriformError: If Ray cannot be reached or started.
+            ConfigurationError: If a setting is not allowed.
+        """
+        require(threads is None or threads >= 1, f"{threads} workers asked for; at least 1 is needed")
+        self._at_once = threads if address is not None else None
+        quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "critical"}
+        try:
+            if address is None:
+                workers = threads or usable_threads()
+                store = _STORE + workers * _STORE_PER_WORKER
+                ray.init(
+                    "local", num_cpus=workers, num_gpus=0, object_store_memory=store, include_dashboard=False, **quiet
+                )
+            else:
+                _check_address(address)
+                ray.init(address, **quiet)
+        except ConfigurationError:
+            raise
+        except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+            if address is None:
+                raise TriformError(f"cannot start Ray on this machine: {_first_line(error)}") from error
+            raise TriformError(
+                f"cannot use Ray at {address}: {_first_line(error)} (a cluster that asks for a token needs "
+                "RAY_AUTH_MODE=token here as on its nodes)"
+            ) from error
+
+    def close(self) -> None:
+        """Let go of the cluster, or stop the Ray that was started here."""
+        ray.shutdown()
+
+    def run(
+        self, task: Task[Item, Result], items: Sequence[Item], on_progress: Report | None = None
+    ) -> Generator[tuple[int, Result], None, None]:
+        """As ``Engine.run``; progress is noted whenever an item is finished.
+
+        Raises:
+            TriformError: What the task raised, in one sentence; or a machine of the cluster would give other results.
+        """
+        remote = ray.remote(_by_value()).options(num_cpus=1, max_retries=_RETRIES, retry_exceptions=False)
+        pickled, here = ray.put(cloudpickle.dumps(task)), identity()
+        waiting = iter(enumerate(items))
+        running: dict[Any, int] = {}
+        try:
+            while True:
+                for index, item in islice(waiting, max(0, self._most() - len(running))):
+                    running[remote.remote(pickled, cloudpickle.dumps(item), here)] = index
+                if not running:
+                    return
+                # Ctrl-C is noticed between two calls.
+                finished, _ = ray.wait(list(running), timeout=1.0)
+                for reference in finished:
+                    result, reported = _outcome(reference)
+                    if on_progress is not None:
+                        on_progress(reported)
+                    yield running.pop(reference), result
+        finally:
+            for reference in running:
+                ray.cancel(reference)
+
+    def _most(self) -> int:
+        """Items that may be with Ray now: enough that no worker waits, few enough for any memory."""
+        if self._at_once is not None:
+            return self._at_once
+        return 2 * max(1, int(ray.cluster_resources().get("CPU", 0)))
+
+
+def carry_out(task: bytes, item: bytes, driver: dict[str, str]) -> tuple[bytes, float]:
+    """Do one item on a worker.
+
+    Args:
+        task: The pickled task.
+        item: The pickled item.
+        driver: ``identity`` of the machine that will use the result.
+
+    Returns:
+        The pickled result, or the pickled ``TriformError`` that the task raised or that this machine is refused with;
+        and the sum of what the task reported.
+    """
+    unlike = differences(driver, identity())
+    if unlike:
+        # Checked before unpickling, which other versions might not survive.
+        return cloudpickle.dumps(foreign(unlike)), 0.0
+    reports: list[float] = []
+    try:
+        with limit_threads(1):
+            result = _unpickled(task)(cloudpickle.loads(item), reports.append)
+    except TriformError as error:
+        return cloudpickle.dumps(error), 0.0
+    return cloudpickle.dumps(result), sum(reports)
+
+
+def foreign(unlike: str) -> TriformError:
+    """Say that this worker's machine cannot be used."""
+    return TriformError(
+        f"the Ray node {ray.util.get_node_ip_address()} has {unlike}; its results would not be identical, so give "
+        "every node the same"
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def _unpickled(task: bytes) -> Task[Any, Any]:
+    """The task, which may hold a whole policy, unpickled once for all items of a worker."""
+    unpickled: Task[Any, Any] = cloudpickle.loads(task)
+    return unpickled
+
+
+def _by_value() -> Callable[[bytes, bytes, dict[str, str]], tuple[bytes, float]]:
+    """The function that Ray sends to workers: a local one, which goes there whole, whatever they have installed."""
+
+    def triform_item(task: bytes, item: bytes, driver: dict[str, str]) -> tuple[bytes, float]:
+        try:
+            from triform.engines.cluster import carry_out
+        except ImportError as error:
+            message = f"a Ray node cannot import triform ({error}); install it on every node, with the extra ray"
+            raise RuntimeError(message) from None
+        return carry_out(task, item, driver)
+
+    return triform_item
+
+
+def _outcome(reference: Any) -> tuple[Any, float]:
+    """Result of a finished item, and what it reported.
+
+    Raises:
+        TriformError: If there is none.
+    """
+    try:
+        pickled, reported = ray.get(reference)
+    except ray.exceptions.RayTaskError as error:
+        cause = error.cause
+        raise TriformError(f"a task failed on a Ray worker: {type(cause).__name__}: {_first_line(cause)}") from error
+    except ray.exceptions.RayError as error:
+        raise TriformError(
+            f"a task was given up after {_RETRIES} retries or cannot be run: {_first_line(error)}"
+        ) from error
+    result = cloudpickle.loads(pickled)
+    if isinstance(result, TriformError):
+        raise result
+    return result, reported
+
+
+def _check_address(address: str) -> None:
+    """Make sure that a server like Ray's answers there, because Ray itself would try for minutes.
+
+    Raises:
+        ConfigurationError: If it is no address.
+        OSError: If nothing answers.
+    """
+    if address == "auto":
+        return
+    host, _, port = address.rpartition(":")
+    require(
+        host != "" and port.isdecimal() and 0 < int(port) < 2**16,
+        f"ray_address is {address!r}; host:port or auto is needed",
+    )
+    with socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE) as server:
+        if os.environ.get("RAY_USE_TLS", "0") != "0":
+            return
+        # Ray speaks gRPC, that is HTTP/2 (RFC 9113, 3.4): both sides begin with their settings, a frame of type 4.
+        server.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
+        if server.recv(9)[3:4] != b"\x04":
+            raise OSError("what answers there is not Ray")
+
+
+def _first_line(error: BaseException) -> str:
+    if isinstance(error, TimeoutError):
+        return f"no answer within {_PATIENCE:g} s"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror.lower()
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
