@@ -78,16 +78,3 @@ def _processors() -> int:
 def _pool(_process: int) -> ThreadPoolExecutor:
     """Threads for the parts, made anew in a forked process, which inherits none."""
     return ThreadPoolExecutor(_processors(), thread_name_prefix="triform")
-
-
-@contextmanager
-def threads_for(work: int, work_per_thread: int) -> Iterator[None]:
-    """Temporary, until all kernels go through ``in_parts``."""
-    import numba
-
-    allowed = numba.get_num_threads()
-    numba.set_num_threads(min(allowed, usable_threads(), max(1, work // work_per_thread)))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(allowed)

@@ -21,8 +21,6 @@ from triform.engines import LocalEngine, open_engine
 from triform.evaluation import EvaluateConfig, evaluate
 from triform.types import TriformError
 
-#: Ray's worker processes are called ray::NAME while they carry out a task of that name.
-WORKING = "ray::triform_item"
 SMALL = CollectionConfig(
     robots=5, runs=6, steps=30, placements=150, block_placements=30, shard_runs=1, group_records=13, seed=3
 )
@@ -65,29 +63,24 @@ def descendants(pid: int) -> list[int]:
     return found + [each for child in found for each in descendants(child)]
 
 
-def kill_a_worker() -> int:
-    """Kill one worker that is carrying out an item, as the system does when memory runs out."""
-    while True:
-        for pid in descendants(os.getpid()):
-            try:
-                working = Path(f"/proc/{pid}/cmdline").read_text().startswith(WORKING)
-            except OSError:
-                continue
-            if working:
-                os.kill(pid, signal.SIGKILL)
-                return pid
-        time.sleep(0.01)
+class Deadly:
+    """An engine whose first worker to finish an item is killed before it hands the result over."""
 
+    def __init__(self, engine, marker):
+        self.engine = engine
+        self.marker = marker
 
-def killing_once():
-    """A callback that kills a worker when it is called first, and the list of those killed."""
-    killed: list[int] = []
+    def run(self, task, items, on_progress=None):
+        marker = self.marker
 
-    def note(*_):
-        if not killed:
-            killed.append(kill_a_worker())
+        def deadly(item, report):
+            result = task(item, report)
+            if not marker.exists():
+                marker.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+            return result
 
-    return note, killed
+        return self.engine.run(deadly, items, on_progress)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -97,12 +90,13 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_an_evaluation_is_the_same_to_the_bit_on_one_thread_two_and_ray_whose_worker_is_killed(engine, monkeypatch):
+def test_an_evaluation_is_the_same_to_the_bit_on_one_thread_two_and_ray_whose_worker_is_killed(
+    engine, tmp_path, monkeypatch
+):
     monkeypatch.setattr("triform.evaluation.scenario.ROBOTS_PER_CHUNK", 8)
     config = EvaluateConfig(robots=(3, 5, 4), runs=6, duration=6.0, profile="hardware", seed=5)
-    note, killed = killing_once()
-    on_ray = evaluate(config, note, engine=engine)
-    assert len(killed) == 1
+    on_ray = evaluate(config, engine=Deadly(engine, tmp_path / "killed"))
+    assert (tmp_path / "killed").exists()
     assert [result["robots"] for result in on_ray.results] == [3, 5, 4]
     for threads in (1, 2):
         here = evaluate(config, engine=LocalEngine(threads))
@@ -115,14 +109,8 @@ def test_an_evaluation_is_the_same_to_the_bit_on_one_thread_two_and_ray_whose_wo
 def test_a_data_set_has_the_same_bytes_on_one_thread_two_and_ray_whose_worker_is_killed(engine, tmp_path):
     for threads in (1, 2):
         collect(tmp_path / str(threads), SMALL, workers=threads)
-    killed: list[int] = []
-
-    def note(done, total):
-        if done and not killed:
-            killed.append(kill_a_worker())
-
-    collect(tmp_path / "ray", SMALL, progress=note, engine=engine)
-    assert len(killed) == 1
+    collect(tmp_path / "ray", SMALL, engine=Deadly(engine, tmp_path / "killed"))
+    assert (tmp_path / "killed").exists()
     assert contents(tmp_path / "ray") == contents(tmp_path / "1") == contents(tmp_path / "2")
 
 

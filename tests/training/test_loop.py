@@ -16,7 +16,7 @@ import torch
 from triform.dataset import QUICK, StateConfig, collect
 from triform.policy import NetworkConfig
 from triform.policy.vit import token_batch
-from triform.training import Progress, TrainConfig, get_preset, train
+from triform.training import Progress, TrainConfig, batches, get_preset, train
 from triform.training.batches import FreshSource, StoredSource
 from triform.training.flat import FlatParameters
 from triform.training.loop import Learner, learning_rate, make_optimizer
@@ -34,8 +34,9 @@ TINY = TrainConfig(
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> None:
+def small_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:
     torch.set_num_threads(1)
+    monkeypatch.setattr(batches, "VALIDATION_MAPS", 200)
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +88,7 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, optimizer:
 
 def _train_slowly(out: Path) -> None:
     torch.set_num_threads(1)
+    batches.VALIDATION_MAPS = 200
     train(TINY, out, report=lambda _: time.sleep(0.02), save_seconds=0.0)
 
 
@@ -115,11 +117,10 @@ def test_stored_demonstrations_resume_exactly_across_epochs(tmp_path: Path, data
 
 def test_algorithm_1_is_one_epoch_of_16_records(data: Path) -> None:
     source = StoredSource(get_preset("paper"), data)
-    batches = [batch for _, batch in zip(range(source.steps), source.batches(0), strict=False)]
-    batches = [task() for task in batches]
-    assert [len(batch.commands) for batch in batches[:-1]] == [112] * (source.steps - 1)
-    assert sum(len(batch.commands) for batch in batches) == 7 * (3 * 20 + 75)
-    assert set(batches[0].packed.counts) == {100}
+    epoch = [task() for _, task in zip(range(source.steps), source.batches(0), strict=False)]
+    assert [len(batch.commands) for batch in epoch[:-1]] == [112] * (source.steps - 1)
+    assert sum(len(batch.commands) for batch in epoch) == 7 * (3 * 20 + 75)
+    assert set(epoch[0].packed.counts) == {100}
 
 
 def test_another_teacher_labels_stored_states_anew(data: Path) -> None:

@@ -73,7 +73,10 @@ class RayEngine:
     def run(
         self, task: Task[Item, Result], items: Sequence[Item], on_progress: Report | None = None
     ) -> Generator[tuple[int, Result], None, None]:
-        """As ``Engine.run``; progress is noted whenever an item is finished.
+        """As ``Engine.run``; progress is noted whenever an item is finished, and ``close`` stops items under way.
+
+        They are not cancelled one by one, because ``ray.cancel`` on an item that is just being finished can abort
+        this process (Ray 2.60: "Tried to complete task that was not pending").
 
         Raises:
             TriformError: What the task raised, in one sentence; or a machine of the cluster would give other results.
@@ -82,22 +85,18 @@ class RayEngine:
         pickled, here = ray.put(cloudpickle.dumps(task)), identity()
         waiting = iter(enumerate(items))
         running: dict[Any, int] = {}
-        try:
-            while True:
-                for index, item in islice(waiting, max(0, self._most() - len(running))):
-                    running[remote.remote(pickled, cloudpickle.dumps(item), here)] = index
-                if not running:
-                    return
-                # Ctrl-C is noticed between two calls.
-                finished, _ = ray.wait(list(running), timeout=1.0)
-                for reference in finished:
-                    result, reported = _outcome(reference)
-                    if on_progress is not None:
-                        on_progress(reported)
-                    yield running.pop(reference), result
-        finally:
-            for reference in running:
-                ray.cancel(reference)
+        while True:
+            for index, item in islice(waiting, max(0, self._most() - len(running))):
+                running[remote.remote(pickled, cloudpickle.dumps(item), here)] = index
+            if not running:
+                return
+            # Ctrl-C is noticed between two calls.
+            finished, _ = ray.wait(list(running), timeout=1.0)
+            for reference in finished:
+                result, reported = _outcome(reference)
+                if on_progress is not None:
+                    on_progress(reported)
+                yield running.pop(reference), result
 
     def _most(self) -> int:
         """Items that may be with Ray now: enough that no worker waits, few enough for any memory."""

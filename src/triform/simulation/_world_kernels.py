@@ -105,7 +105,8 @@ def _advance_world(
             before[:] = poses
         drive_team(poses, velocities, targets, active, limits, step)
         min_distance, collided = _record_pairs(poses, pairs, body, min_distance, collided)
-        hit_arena = hit_arena or any_hits_arena(poses, active, body, walls, pillars)
+        if not hit_arena:
+            hit_arena = any_hits_arena(poses, active, body, walls, pillars)
         if ray_bounds[s + 1] > ray_bounds[s]:
             cast_moving(
                 before,
