@@ -22,7 +22,6 @@ _EXTRAS = {
     "safetensors": "train",
     "tensorboard": "train",
     "onnx": "train",
-    "onnxscript": "train",
     "ray": "ray",
 }
 
