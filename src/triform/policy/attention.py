@@ -1,4 +1,8 @@
-"""Attention among the tokens of each map of a packed batch."""
+"""Attention among the tokens of each map of a packed batch.
+
+What the kernels write into belongs to PyTorch, which aligns its memory: some of its matrix products round differently
+where memory begins elsewhere, and a resumed training would then no longer equal an uninterrupted one to the bit.
+"""
 
 from __future__ import annotations
 
@@ -101,19 +105,20 @@ class _SelfAttention(torch.autograd.Function):
         x = _array(qkv.float() if qkv.dtype == torch.bfloat16 else qkv)
         lengths = np.diff(first)
         weights = np.empty(heads * int(lengths @ lengths), dtype=x.dtype)
-        out = np.zeros((x.shape[0], heads, x.shape[2]), dtype=x.dtype)
+        out = torch.zeros(x.shape[0], heads, x.shape[2], dtype=torch.from_numpy(x).dtype)
         layout = (tokens, first, tokens, first, heads, heads, 2 * heads, x.dtype.type(x.shape[2] ** -0.5))
-        attend(x, x, x, *layout, out, weights)
+        attend(x, x, x, *layout, out.numpy(), weights)
         ctx.kept, ctx.dtype = (x, layout, weights), qkv.dtype
-        return torch.from_numpy(out)
+        return out
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         x, layout, weights = ctx.kept
-        d_x = np.zeros_like(x)
+        d_qkv = torch.zeros(x.shape, dtype=grad.dtype)
+        d_x = d_qkv.numpy()
         attend_backward(x, x, x, *layout, weights, _array(grad), d_x, d_x, d_x)
-        return torch.from_numpy(d_x).to(ctx.dtype), None, None
+        return d_qkv.to(ctx.dtype), None, None
 
 
 class _Reading(torch.autograd.Function):
@@ -126,25 +131,20 @@ class _Reading(torch.autograd.Function):
         queries = _array(probes.to(torch.from_numpy(keys).dtype)).reshape(-1, 1, dim)
         query_lists = np.arange(maps * count), np.arange(maps + 1) * count
         weights = np.empty(count * int(first[-1]), dtype=keys.dtype)
-        out = np.zeros_like(queries)
+        out = torch.zeros(queries.shape, dtype=torch.from_numpy(queries).dtype)
         layout = (*query_lists, lists, first, 1, 0, 0, keys.dtype.type(scale))
-        attend(queries, keys, keys, *layout, out, weights)
+        attend(queries, keys, keys, *layout, out.numpy(), weights)
         ctx.kept, ctx.dtypes = (queries, keys, layout, weights), (probes.dtype, tokens.dtype)
-        return torch.from_numpy(out).view(maps, count, dim)
+        return out.view(maps, count, dim)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         queries, keys, layout, weights = ctx.kept
-        d_queries, d_keys = np.zeros_like(queries), np.zeros_like(keys)
+        d_probes, d_tokens = torch.zeros(queries.shape, dtype=grad.dtype), torch.zeros(keys.shape, dtype=grad.dtype)
+        d_queries, d_keys = d_probes.numpy(), d_tokens.numpy()
         attend_backward(
             queries, keys, keys, *layout, weights, _array(grad).reshape(queries.shape), d_queries, d_keys, d_keys
         )
-        shape = grad.shape
-        return (
-            torch.from_numpy(d_queries).view(shape).to(ctx.dtypes[0]),
-            torch.from_numpy(d_keys).view(-1, shape[2]).to(ctx.dtypes[1]),
-            None,
-            None,
-            None,
-        )
+        probes_dtype, tokens_dtype = ctx.dtypes
+        return d_probes.view(grad.shape).to(probes_dtype), d_tokens[:, 0].to(tokens_dtype), None, None, None

@@ -14,11 +14,28 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-# What lets sums be taken in vectors; not-a-number and infinity keep their meaning.
-_FAST = {"reassoc", "contract", "arcp", "nsz"}
+# Sums may be taken in vectors only where nothing is written: loops that write are compiled twice, with vectors and, for
+# arrays that might overlap, without, and which one runs depends on where memory lies. Both must round alike.
+_SUMS = {"reassoc", "contract", "nsz"}
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, fastmath=_SUMS)
+def _sum(a, n):  # type: ignore[no-untyped-def]
+    total = np.float32(0.0)
+    for j in range(n):
+        total += a[j]
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=_SUMS)
+def _dot(a, at, b, n):  # type: ignore[no-untyped-def]
+    total = np.float32(0.0)
+    for j in range(n):
+        total += a[at + j] * b[j]
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=_SUMS)
 def _dots(a, row, head, b, rows, first, last, b_head, out):  # type: ignore[no-untyped-def]
     """``out[j] = a[row] . b[rows[first + j]]``, four at a time; writes up to three values too many."""
     for j in range(first, last, 4):
@@ -37,7 +54,7 @@ def _dots(a, row, head, b, rows, first, last, b_head, out):  # type: ignore[no-u
         out[j - first + 3] = s_3
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def _add(weights, b, rows, first, last, b_head, out, row, head):  # type: ignore[no-untyped-def]
     """``out[row] += sum_j weights[j] b[rows[first + j]]``, four at a time; the weights end in three zeros."""
     for j in range(first, last, 4):
@@ -45,9 +62,13 @@ def _add(weights, b, rows, first, last, b_head, out, row, head):  # type: ignore
         r_2, r_3 = rows[min(j + 2, last - 1)], rows[min(j + 3, last - 1)]
         w_0, w_1, w_2, w_3 = weights[j - first], weights[j - first + 1], weights[j - first + 2], weights[j - first + 3]
         for d in range(b.shape[2]):
-            out[row, head, d] += (
-                w_0 * b[r_0, b_head, d] + w_1 * b[r_1, b_head, d] + w_2 * b[r_2, b_head, d] + w_3 * b[r_3, b_head, d]
-            )
+            # One after the other, so that there is one way only to fuse products and sums.
+            x = out[row, head, d]
+            x += w_0 * b[r_0, b_head, d]
+            x += w_1 * b[r_1, b_head, d]
+            x += w_2 * b[r_2, b_head, d]
+            x += w_3 * b[r_3, b_head, d]
+            out[row, head, d] = x
 
 
 @njit(cache=True, nogil=True)
@@ -58,7 +79,7 @@ def _longest(first):  # type: ignore[no-untyped-def]
     return longest
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def attend(  # type: ignore[no-untyped-def]
     q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, out, weights
 ):
@@ -74,19 +95,18 @@ def attend(  # type: ignore[no-untyped-def]
                 top = s[0]
                 for j in range(1, n):
                     top = max(top, s[j])
-                total = np.float32(0.0)
                 for j in range(n):
                     s[j] = np.exp((s[j] - top) * scale)
-                    total += s[j]
+                share = np.float32(1.0) / _sum(s, n)
                 for j in range(n):
-                    s[j] /= total
+                    s[j] *= share
                     weights[at + j] = s[j]
                 s[n : n + 3] = 0.0
                 at += n
                 _add(s, v, k_rows, first, last, v_head + h, out, q_rows[i], h)
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True)
 def attend_backward(  # type: ignore[no-untyped-def]
     q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, weights, grad, d_q, d_k, d_v
 ):
@@ -102,9 +122,7 @@ def attend_backward(  # type: ignore[no-untyped-def]
         for h in range(heads):
             for i in range(start, end):
                 _dots(grad, q_rows[i], h, v, k_rows, first, last, v_head + h, s)
-                mean = np.float32(0.0)
-                for j in range(n):
-                    mean += weights[at + j] * s[j]
+                mean = _dot(weights, at, s, n)
                 for j in range(n):
                     s[j] = weights[at + j] * (s[j] - mean) * scale
                     s_by_key[j, i - start] = s[j]
