@@ -39,6 +39,11 @@ class Settings:
         return 3 if self.quick else 40
 
     @property
+    def training_warm_up(self) -> int:
+        """Steps before a turn of training counts; new shapes of mini-batches are slower the first time."""
+        return 5 if self.quick else 100
+
+    @property
     def thread_counts(self) -> tuple[int, ...]:
         """Numbers of threads to show: one, and all."""
         return tuple(sorted({1, self.cores}))

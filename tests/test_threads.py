@@ -55,6 +55,13 @@ def test_an_error_in_any_part_comes_out_after_all_parts_have_ended(bad_part: int
     assert ended == [5 * (1 - bad_part)]
 
 
+def test_parts_may_have_parts() -> None:
+    done: list[int] = []
+    with limit_threads(8):
+        in_parts(lambda *_: in_parts(lambda first, last: done.append(last - first), 8, 8, 1), 8, 8, 1)
+    assert sum(done) == 64
+
+
 # Python 3.12 and later warn of every fork of a process with threads, which is what is tested.
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_a_forked_process_has_threads_of_its_own() -> None:

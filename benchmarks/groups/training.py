@@ -41,7 +41,7 @@ def _against_dense(settings: Settings, watch: Watch) -> Iterator[Row]:
     packed, dense, same = rates.values()
     for turn in range(settings.training_rounds):
         watch(what, turn, settings.training_rounds)
-        packed.append(_rate(config, settings.training_steps, threads=1))
+        packed.append(_rate(config, settings, settings.training_steps))
         dense.append(_dense_rate(step, "float32", steps))
         same.append(_dense_rate(step, config.precision, steps))
     note = (
@@ -64,7 +64,7 @@ def _small(settings: Settings, watch: Watch) -> Row:
     rates = np.empty(rounds)
     for turn in range(rounds):
         watch(what, turn, rounds)
-        rates[turn] = _rate(config, 5 * settings.training_steps, threads=1)
+        rates[turn] = _rate(config, settings, 5 * settings.training_steps)
     drawing = Spread.of(_drawing_rate(config, rounds, settings.training_steps), "maps/s")
     return Row(
         what,
@@ -75,9 +75,9 @@ def _small(settings: Settings, watch: Watch) -> Row:
     )
 
 
-def _rate(config: TrainConfig, steps: int, threads: int) -> float:
-    """Maps per second of the training loop over ``steps`` steps after the first few."""
-    warm_up = 5
+def _rate(config: TrainConfig, settings: Settings, steps: int) -> float:
+    """Maps per second of the training loop over ``steps`` steps after its warm-up, one thread for the network."""
+    warm_up = settings.training_warm_up
     marks: list[tuple[float, int]] = []
 
     def report(at: Progress) -> None:
@@ -86,8 +86,8 @@ def _rate(config: TrainConfig, steps: int, threads: int) -> float:
         if at.step == warm_up + steps:
             raise _EnoughError
 
-    torch.set_num_threads(threads)
-    with TemporaryDirectory() as folder, limit_threads(threads), contextlib.suppress(_EnoughError):
+    torch.set_num_threads(1)
+    with TemporaryDirectory() as folder, limit_threads(1), contextlib.suppress(_EnoughError):
         train(config, Path(folder) / "run", report=report)
     (began, first), (ended, last) = marks[0], marks[-1]
     return (last - first) / (ended - began)

@@ -6,7 +6,7 @@ import errno
 import fcntl
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -23,16 +23,34 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises:
         TriformError: If the folder cannot be written or the disk is full; ``path`` is then as it was.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
+    write_together(path.parent, {path.name: data})
+
+
+def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files that belong together: none takes its name before the bytes of all have reached the disk.
+
+    Args:
+        folder: Where to; it exists.
+        files: Content by name.
+
+    Raises:
+        TriformError: If the folder cannot be written or the disk is full; the files are then as they were.
+    """
+    path, staged = folder, []
     try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-        _sync_folder(path.parent)
+        for name, data in files.items():
+            path = folder / name
+            staged.append((path.with_name(f".{name}.tmp"), path))
+            with staged[-1][0].open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+        for temporary, path in staged:
+            temporary.replace(path)
+        _sync_folder(folder)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        for temporary, _ in staged:
+            temporary.unlink(missing_ok=True)
         raise cannot_write(path, error) from error
 
 

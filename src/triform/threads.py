@@ -60,7 +60,7 @@ def in_parts(kernel: Callable[[int, int], object], count: int, work: float, work
         return
     bounds = [count * part // parts for part in range(parts + 1)]
     pool = _pool(os.getpid())
-    rest = [pool.submit(kernel, first, last) for first, last in itertools.pairwise(bounds[1:])]
+    rest = [pool.submit(_alone, kernel, first, last) for first, last in itertools.pairwise(bounds[1:])]
     try:
         kernel(bounds[0], bounds[1])
     finally:
@@ -68,6 +68,12 @@ def in_parts(kernel: Callable[[int, int], object], count: int, work: float, work
             future.exception()
     for future in rest:
         future.result()
+
+
+def _alone(kernel: Callable[[int, int], object], first: int, last: int) -> None:
+    """Do one part; parts of parts would wait for threads that wait for them."""
+    with limit_threads(1):
+        kernel(first, last)
 
 
 def _processors() -> int:

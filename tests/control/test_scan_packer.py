@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from triform.control.scan_packer import SCANS_AT_ONCE, ScanPacker
 from triform.perception import occupancy_maps
 from triform.policy import Keep, PackedMaps, pack
-from triform.types import MapConfig, Scan, ScanConfig
+from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig
 
 SCAN = ScanConfig(rays=120)
 
@@ -72,3 +72,12 @@ def test_any_number_of_scans_up_to_the_room(scans: int) -> None:
     packed = ScanPacker(SCAN, MapConfig(), 10).pack(ranges)
     assert packed.counts.tolist() == [0] * scans
     assert len(packed.patches) == len(packed.positions) == 0
+
+
+def test_scans_of_another_form_are_refused() -> None:
+    packer = ScanPacker(SCAN, MapConfig(), 10)
+    for shape in ((SCANS_AT_ONCE + 1, SCAN.rays), (1, SCAN.rays + 1), (SCAN.rays,)):
+        with pytest.raises(ConfigurationError, match="scans of 120 rays"):
+            packer.pack(np.zeros(shape))
+    with pytest.raises(ConfigurationError, match="patches of 30"):
+        ScanPacker(SCAN, MapConfig(), 30)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
 from triform.geometry import assess, edge_error, gabriel_edges, gabriel_graph, smallest_distance
-from triform.geometry.cells import CELL_SIZE, SMALL_TEAM, find_near, make_cells, pairs_within
+from triform.geometry.cells import CELL_SIZE, SMALL_TEAM, find_near, list_cells, make_cells, pairs_within
 from triform.threads import limit_threads
 from triform.types import ConfigurationError
 
@@ -164,3 +164,13 @@ def test_edges_are_of_one_world() -> None:
     with pytest.raises(ConfigurationError, match=r"\(N, 2\) is needed"):
         gabriel_edges(np.zeros((2, 3, 2)))
     assert gabriel_edges(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_every_share_of_the_cells_has_its_share_of_the_robots() -> None:
+    positions = np.random.default_rng(3).uniform(0, 100, (20_000, 2))
+    world = make_cells(positions, np.ones(len(positions), dtype=np.bool_))
+    cells, parts = list_cells(world), world[2]
+    sizes = parts[cells, 1] - parts[cells, 0]
+    assert sizes.sum() == len(positions)
+    for share in np.array_split(sizes, 16):
+        assert 0.6 * len(positions) / 16 < share.sum() < 1.4 * len(positions) / 16

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -115,8 +116,47 @@ def test_eight_bits_give_nearly_the_same_commands(exported: Path, tmp_path: Path
     assert (tmp_path / "eight" / "model.safetensors").read_bytes() == (exported / "model.safetensors").read_bytes()
     full, eight = PolicyRuntime(exported).commands(packed), PolicyRuntime(tmp_path / "eight").commands(packed)
     assert 0 < np.abs(full - eight).mean() < 2e-2
+    alone = PolicyRuntime(tmp_path / "eight").commands(pack(some_maps(200)[7:8], 5))
+    np.testing.assert_array_equal(alone[0], eight[7])
     with pytest.raises(ConfigurationError, match="precision is 'int4'"):
         replace(SPEC, precision="int4")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: pack(some_maps(3), 10),
+        lambda p: pack(np.ones((2, 40, 40), np.uint8), 5),
+        lambda p: replace(p, counts=p.counts[:-1]),
+        lambda p: replace(p, positions=p.positions - 1),
+        lambda p: replace(p, positions=p.positions + 15),
+        lambda p: replace(p, counts=-p.counts),
+    ],
+)
+def test_maps_packed_for_another_network_are_refused(
+    exported: Path, change: Callable[[PackedMaps], PackedMaps]
+) -> None:
+    with pytest.raises(ConfigurationError, match="not packed for the network"):
+        PolicyRuntime(exported).commands(change(pack(np.ones((2, 20, 20), np.uint8), 5)))
+
+
+def test_an_export_that_cannot_be_written_leaves_the_old_one(
+    exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = copy(exported, tmp_path / "policy")
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    real = Path.open
+
+    def full(self: Path, *arguments: object, **options: object) -> object:
+        if self.parent == folder and self.name == ".model.json.tmp":
+            raise OSError(28, "No space left on device")
+        return real(self, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(TriformError, match="no space left"):
+        export_policy(folder, some_maps(5), "int8")
+    monkeypatch.undo()
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
 def test_no_maps_give_no_commands(exported: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,10 +10,18 @@ from numba import njit
 
 from triform.geometry import gabriel_into
 from triform.geometry._gabriel_kernels import list_neighbours, make_room
-from triform.geometry.cells import SMALL_TEAM, make_cells
+from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
 from triform.geometry.gabriel import ROBOTS_PER_THREAD
 from triform.threads import in_parts, usable_threads
-from triform.types import SENSING_RANGE, ConfigurationError, FloatArray, PrivilegedView, TriformError, require
+from triform.types import (
+    SENSING_RANGE,
+    BoolArray,
+    ConfigurationError,
+    FloatArray,
+    PrivilegedView,
+    TriformError,
+    require,
+)
 
 #: A RoboMaster EP whose centre is this far away still shows its near side to a LiDAR of 2 m [m].
 VISIBLE_RANGE = 2.12
@@ -107,15 +114,13 @@ def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_rang
 
 
 @njit(cache=True, nogil=True)
-def _expert_cells(world, poses, distance, gain, odd_gain, max_speed, sensing_range, out, first, last):  # type: ignore[no-untyped-def]
-    """Write the body twists of the robots in the parts ``first <= cell < last`` that are cells."""
+def _expert_cells(world, cells, poses, distance, gain, odd_gain, max_speed, sensing_range, out):  # type: ignore[no-untyped-def]
+    """Write the body twists of the robots in some ``cells`` of a world."""
     robots, _, parts, _ = world
     limit = sensing_range * sensing_range
     room, ends = make_room(robots.shape[0]), np.empty(robots.shape[0] + 1, dtype=np.int64)
     listed = np.empty((64, 1), dtype=np.int64)
-    for cell in range(first, last):
-        if parts[cell, 2] > 0:
-            continue
+    for cell in cells:
         listed = list_neighbours(world, cell, limit, room, listed, ends)
         for own in range(parts[cell, 0], parts[cell, 1]):
             i, k = robots[own], own - parts[cell, 0]
@@ -140,9 +145,8 @@ def expert_worlds(poses, active, distance, gain, odd_gain, max_speed, sensing_ra
         else:
             out[b] = 0.0
             world = make_cells(poses[b], active[b])
-            _expert_cells(
-                world, poses[b], distance, gain, odd_gain, max_speed, sensing_range, out[b], 0, world[2].shape[0]
-            )
+            cells = list_cells(world)
+            _expert_cells(world, cells, poses[b], distance, gain, odd_gain, max_speed, sensing_range, out[b])
 
 
 class Expert:
@@ -238,9 +242,15 @@ class Expert:
             )  # fmt: skip
             return out
         for b in range(worlds):
-            world = make_cells(poses[b], active[b])
-            in_parts(
-                partial(_expert_cells, world, poses[b], *law, out[b]),
-                len(world[2]), robots, ROBOTS_PER_THREAD,
-            )  # fmt: skip
+            self._command_large(poses[b], active[b], law, out[b])
         return out
+
+    @staticmethod
+    def _command_large(poses: FloatArray, active: BoolArray, law: tuple[float, ...], out: FloatArray) -> None:
+        """Write the body twists of one world, its cells shared out over the threads."""
+        world = make_cells(poses, active)
+        cells = list_cells(world)
+        in_parts(
+            lambda first, last: _expert_cells(world, cells[first:last], poses, *law, out),
+            len(cells), len(active), ROBOTS_PER_THREAD,
+        )  # fmt: skip

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from triform.perception import map_room, occupied_into
 from triform.policy import Keep, PackedMaps, append_patches
-from triform.types import MapConfig, ScanConfig
+from triform.types import MapConfig, ScanConfig, require
 
 #: Scans that are packed at once; more only take more room.
 SCANS_AT_ONCE = 512
@@ -72,7 +72,14 @@ class ScanPacker:
             config: The occupancy map.
             patch: Cells along each side of a patch; divides the map.
             keep: Which patches to keep.
+
+        Raises:
+            ConfigurationError: If the map does not divide into patches.
         """
+        require(
+            patch >= 1 and config.size % patch == 0,
+            f"a map of {config.size} cells does not divide into patches of {patch}",
+        )
         self.scan = scan
         self._map = config
         self._patch = patch
@@ -88,7 +95,14 @@ class ScanPacker:
 
         Returns:
             The packed maps; views of this thread's room, good until its next call.
+
+        Raises:
+            ConfigurationError: If there are more scans, or they have another number of rays.
         """
+        require(
+            ranges.ndim == 2 and len(ranges) <= SCANS_AT_ONCE and ranges.shape[1] == self.scan.rays,
+            f"ranges of shape {ranges.shape} given; up to {SCANS_AT_ONCE} scans of {self.scan.rays} rays are needed",
+        )
         room = getattr(self._local, "room", None)
         if room is None:
             room = self._local.room = _Room(self._map.size, self._patch)

@@ -3,7 +3,8 @@
 The square around a team is halved, now along x and now along y, until no part holds more than ``CELL_SIZE`` robots;
 halves without robots are left out. So cells are small where robots are dense and large where they are far apart: a
 search takes the same time per robot in a team of 100 and of 100,000, and the memory is linear in the number of robots
-however far they have spread.
+however far they have spread. (Places that agree in the first 24 halvings along both axes are not told apart, so one
+robot a billion metres away makes searches slow, though not wrong.)
 
 Kernels take the cells of one world as a tuple ``(robots, places, parts, boxes)``. Robots are listed cell by cell, in
 *slots*: ``robots[slot]`` is the index of the robot and ``places[slot]`` its position [m]. Part p of the square, the
@@ -138,6 +139,19 @@ def make_cells(positions, active):  # type: ignore[no-untyped-def]
     for part in range(number - 1, -1, -1):
         _enclose(places, parts, part, boxes)
     return robots, places, parts, boxes
+
+
+@njit(cache=True, nogil=True)
+def list_cells(world):  # type: ignore[no-untyped-def]
+    """Indices of the parts that are cells; all hold about as many robots, so a share of them is a share of the work."""
+    parts = world[2]
+    cells = np.empty(parts.shape[0], dtype=np.int64)
+    number = 0
+    for part in range(parts.shape[0]):
+        if parts[part, 2] == 0:
+            cells[number] = part
+            number += 1
+    return cells[:number]
 
 
 @njit(cache=True, nogil=True)

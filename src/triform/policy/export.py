@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from onnxruntime.quantization import QuantType, quantize_dynamic
 
-from triform.files import make_folder, sha256, write_atomically
-from triform.policy.checkpoint import ONNX_FILE, SPEC_FILE, WEIGHTS_FILE, Precision, read_weights
+from triform.files import cannot_write, make_folder, sha256, write_together
+from triform.policy.checkpoint import ONNX_FILE, SPEC_FILE, WEIGHTS_FILE, PolicySpec, Precision, read_weights
 from triform.policy.graph import build_graph
 from triform.policy.packing import pack
 from triform.policy.runtime import PolicyRuntime
@@ -42,9 +42,8 @@ def export_policy(
 ) -> Difference:
     """Write ``model.onnx`` for the policy in ``folder``.
 
-    With ``int8`` the graph holds weights of 8 bits and rounds the tokens of a call to 8 bits by their common range.
-    That is up to twice as fast and a little less exact, and a map's command depends a little on the other
-    maps of its call.
+    With ``int8`` the graph holds weights of 8 bits and rounds the tokens of a call to 8 bits by their common range,
+    which is faster and a little less exact.
 
     Args:
         folder: Holds ``model.safetensors`` and ``model.json``.
@@ -60,19 +59,15 @@ def export_policy(
             was there stays then.
     """
     network, spec = load_policy(folder)
-    weights = read_weights(folder, spec)
     packed = pack(maps, spec.network.patch, spec.network.attention)
-    with tempfile.TemporaryDirectory() as trial, torch.inference_mode():
-        trial_folder = Path(trial)
-        write_atomically(trial_folder / WEIGHTS_FILE, weights)
-        graph = build_graph(spec.network, weights, WEIGHTS_FILE)
-        if precision == "int8":
-            graph = _quantised(graph, trial_folder)
-        exported = replace(spec, onnx_sha256=sha256(graph), precision=precision).to_json().encode()
-        write_atomically(trial_folder / ONNX_FILE, graph)
-        write_atomically(trial_folder / SPEC_FILE, exported)
-        commands = PolicyRuntime(trial_folder).commands(packed)
-        errors = np.abs(commands - network(token_batch(packed)).numpy())
+    try:
+        with tempfile.TemporaryDirectory() as trial, torch.inference_mode():
+            files = _exported(folder, spec, precision, Path(trial))
+            write_together(Path(trial), files)
+            commands = PolicyRuntime(Path(trial)).commands(packed)
+            errors = np.abs(commands - network(token_batch(packed)).numpy())
+    except OSError as error:
+        raise cannot_write(Path(tempfile.gettempdir()), error) from error
     difference = Difference(float(errors.max(initial=0.0)), float(errors.mean()) if errors.size else 0.0)
     found = difference.mean if precision == "int8" else difference.largest
     if not found <= TOLERANCE[precision]:
@@ -80,23 +75,34 @@ def export_policy(
             f"the exported graph of {folder} differs from PyTorch by {found:.1e} on {len(maps)} maps; "
             f"{TOLERANCE[precision]:.0e} is allowed, so it is not kept"
         )
-    target = folder if out is None else out
-    if target != folder:
-        make_folder(target)
-        write_atomically(target / WEIGHTS_FILE, weights)
-    write_atomically(target / ONNX_FILE, graph)
-    write_atomically(target / SPEC_FILE, exported)
+    if out is None:
+        del files[WEIGHTS_FILE]
+    else:
+        make_folder(out)
+    write_together(out or folder, files)
     return difference
 
 
-def _quantised(graph: bytes, folder: Path) -> bytes:
-    """The graph with 8-bit linear layers; ``folder`` holds the weights and takes files for the time."""
-    full, reduced = folder / "full.onnx", folder / "reduced.onnx"
+def _exported(folder: Path, spec: PolicySpec, precision: Precision, room: Path) -> dict[str, bytes]:
+    """The files of the exported policy by name; ``room`` takes files for the time."""
+    weights = read_weights(folder, spec)
+    graph = build_graph(spec.network, weights, WEIGHTS_FILE)
+    if precision == "int8":
+        graph = _quantised(graph, weights, room)
+    exported = replace(spec, onnx_sha256=sha256(graph), precision=precision)
+    return {WEIGHTS_FILE: weights, ONNX_FILE: graph, SPEC_FILE: exported.to_json().encode()}
+
+
+def _quantised(graph: bytes, weights: bytes, room: Path) -> bytes:
+    """The graph with 8-bit linear layers."""
+    full, reduced = room / "full.onnx", room / "reduced.onnx"
     full.write_bytes(graph)
+    (room / WEIGHTS_FILE).write_bytes(weights)
     # The quantiser advises a preparation that changes nothing here.
-    logging.disable(logging.WARNING)
+    before = logging.root.manager.disable
+    logging.disable(max(before, logging.WARNING))
     try:
         quantize_dynamic(full, reduced, op_types_to_quantize=["Gemm", "MatMul"], weight_type=QuantType.QInt8)
     finally:
-        logging.disable(logging.NOTSET)
+        logging.disable(before)
     return reduced.read_bytes()

@@ -65,6 +65,22 @@ def _fill_rows(patches, positions, first, maps, tokens, places):  # type: ignore
                 tokens[k, slot, c] = patches[begin + slot - 1, c]
 
 
+@njit(cache=True, nogil=True)
+def _fits(patches, positions, counts, cells, per_map):  # type: ignore[no-untyped-def]
+    """Whether packed maps have patches of ``cells`` cells, at most ``per_map`` of them each."""
+    if patches.shape[1] != cells or patches.shape[0] != positions.shape[0]:
+        return False
+    total = 0
+    for m in range(counts.shape[0]):
+        if counts[m] < 0 or counts[m] > per_map:
+            return False
+        total += counts[m]
+    for k in range(positions.shape[0]):
+        if positions[k] < 0 or positions[k] >= per_map:
+            return False
+    return total == positions.shape[0]
+
+
 class _Room(threading.local):
     """Working room, one for each thread; it grows with the largest batch."""
 
@@ -128,14 +144,23 @@ class PolicyRuntime:
 
         Maps with equally many patches share a call, so nothing is computed on padding. What a map gets is the same to
         the bit whatever other maps are in the batch.
+
+        Raises:
+            ConfigurationError: If the maps are not packed for this network.
         """
         network, room, maps = self.spec.network, self._room, len(packed.counts)
+        require(
+            _fits(packed.patches, packed.positions, packed.counts, network.patch**2, network.patches),
+            f"the maps are not packed for the network in {self.folder}: it reads up to {network.patches} patches of "
+            f"{network.patch} x {network.patch} cells per map",
+        )
         out = np.empty((maps, network.outputs))
         room.fit(maps)
         _sort_by_count(packed.counts, room.begins, room.order, room.first)
         for count in np.flatnonzero(np.diff(room.begins)):
             slots = int(count) + 1
-            at_once = max(1, _TOKENS_AT_ONCE // slots)
+            # Graphs of 8 bits round the tokens of a call by their common range.
+            at_once = 1 if self.spec.precision == "int8" else max(1, _TOKENS_AT_ONCE // slots)
             for begin in range(room.begins[count], room.begins[count + 1], at_once):
                 some = room.order[begin : min(begin + at_once, room.begins[count + 1])]
                 tokens = room.tokens[: len(some) * slots * network.patch**2].reshape(len(some), slots, -1)

@@ -87,7 +87,7 @@ class Block(nn.Module):
         first = x.shape[0] - maps
         # (heads, M, D / heads) -> (M, heads, D): one probe per head
         queries = functional.linear(normed[first:], to_query.reshape(dim, dim), query_bias)
-        probes = (queries.view(maps, self.heads, -1).transpose(0, 1) @ to_key).transpose(0, 1)
+        probes = (queries.view(maps, self.heads, dim // self.heads).transpose(0, 1) @ to_key).transpose(0, 1)
         mixed = rows.read(probes, normed, (dim // self.heads) ** -0.5)
         values = (mixed.transpose(0, 1) @ to_value.transpose(1, 2)).transpose(0, 1).reshape(maps, dim)
         return self._mlp(x[first:] + self.project(values + value_bias))

@@ -8,7 +8,7 @@ from pathlib import Path
 import safetensors.torch
 from safetensors import SafetensorError
 
-from triform.files import make_folder, sha256, write_atomically
+from triform.files import make_folder, sha256, write_together
 from triform.policy.checkpoint import SPEC_FILE, WEIGHTS_FILE, PolicySpec, read_spec, read_weights
 from triform.policy.vit import VisionTransformer
 from triform.types import TriformError
@@ -23,8 +23,8 @@ def save_policy(folder: Path, network: VisionTransformer, spec: PolicySpec) -> N
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
     data = safetensors.torch.save(tensors)
     make_folder(folder)
-    write_atomically(folder / WEIGHTS_FILE, data)
-    write_atomically(folder / SPEC_FILE, replace(spec, weights_sha256=sha256(data)).to_json().encode())
+    described = replace(spec, weights_sha256=sha256(data)).to_json().encode()
+    write_together(folder, {WEIGHTS_FILE: data, SPEC_FILE: described})
 
 
 def load_policy(folder: Path) -> tuple[VisionTransformer, PolicySpec]:

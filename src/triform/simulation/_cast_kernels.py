@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, make_cells
+from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
 from triform.simulation._ray_kernels import body_reach, see_box, see_circle, see_wall
 
 
@@ -162,6 +162,7 @@ def cast_world(poses: Any, active: Any, body: Any, walls: Any, pillars: Any, sca
 @njit(cache=True, nogil=True)
 def cast_cells(
     world: Any,
+    cells: Any,
     poses: Any,
     axes: Any,
     body: Any,
@@ -169,10 +170,8 @@ def cast_cells(
     pillars: Any,
     scan: Any,
     out: Any,
-    first: int,
-    last: int,
 ) -> None:
-    """``cast_world`` for the robots in the parts ``first <= cell < last`` that are cells.
+    """``cast_world`` for the robots in some ``cells`` of a world.
 
     Poses and axes come in the order of the slots, shapes (M, 3) and (M, 2), and ``out`` is in that of the robots: who
     is near in space is then near in memory, which counts where a team outgrows the caches.
@@ -182,9 +181,7 @@ def cast_cells(
     angle_min, range_min, range_max, cos_rays, sin_rays = scan
     limit = (range_max + body_reach(body)) ** 2
     stack, near = np.empty(SEARCH_DEPTH, dtype=np.int64), np.empty(robots.shape[0], dtype=np.int64)
-    for cell in range(first, last):
-        if parts[cell, 2] > 0:
-            continue
+    for cell in cells:
         number = find_near(world, cell, limit, stack, near)
         for own in range(parts[cell, 0], parts[cell, 1]):
             row = out[robots[own]]
@@ -229,4 +226,4 @@ def cast_worlds(
                 out[b, i] = math.inf
         world = make_cells(poses[b], active[b])
         in_slots, slot_axes = sort_poses(world, poses[b])
-        cast_cells(world, in_slots, slot_axes, body, walls, pillars, scan, out[b], 0, world[2].shape[0])
+        cast_cells(world, list_cells(world), in_slots, slot_axes, body, walls, pillars, scan, out[b])

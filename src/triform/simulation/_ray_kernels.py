@@ -185,7 +185,7 @@ def see_box(
     before = int(observer_x > half_length) - int(observer_x < -half_length)
     beside = int(observer_y > half_width) - int(observer_y < -half_width)
     if before == 0 and beside == 0:
-        row[:] = -math.inf
+        _cover_all(range_min, range_max, row)
         return
     # Corners are (+-1, +-1), front and left positive. The one or two sides that face the observer are walked
     # clockwise around the box, which is counter-clockwise around an observer outside; the next corner of (a, b) is

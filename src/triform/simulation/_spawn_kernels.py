@@ -119,7 +119,7 @@ def insert_in_turn(candidates: Any, spacing: float, reach: float, side: float, m
     Args:
         candidates: Places in a square around the origin, shape (K, 2) [m].
         spacing: Least distance to everybody [m].
-        reach: Least distance from somebody [m]; infinite for none.
+        reach: Greatest distance from somebody [m]; infinite for none.
         side: Side of the square [m].
         missing: Robots that have no place, shape (M,).
         positions: Places of all, shape (N, 2) [m]; those of the missing robots are written.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
 
-from triform.geometry.cells import SMALL_TEAM, make_cells
+from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
 from triform.simulation._cast_kernels import cast_cells, cast_world, cast_worlds, sort_poses
 from triform.simulation._moving_ray_kernels import cast_moving_worlds
 from triform.simulation.arena import Arena
@@ -28,6 +29,8 @@ def _check_batch(poses: FloatArray, active: BoolArray) -> None:
         raise ConfigurationError(
             f"poses of shape {poses.shape} and active of shape {active.shape} given; (B, N, 3) and (B, N) are needed"
         )
+    if not np.isfinite(poses[active]).all():
+        raise ConfigurationError("the poses of active robots must be finite")
 
 
 @functools.lru_cache(maxsize=16)
@@ -62,7 +65,7 @@ def cast_scans(
         a robot whose centre lies inside an obstacle.
 
     Raises:
-        ConfigurationError: If the shapes do not fit.
+        ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
     if offsets is not None:
         return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype)
@@ -78,13 +81,20 @@ def cast_scans(
         )  # fmt: skip
         return ranges
     for b in range(worlds):
-        ranges[b, ~mask[b]] = np.inf
-        world = make_cells(places[b], mask[b])
-        in_parts(
-            functools.partial(cast_cells, world, *sort_poses(world, places[b]), *scene, ranges[b]),
-            len(world[2]), ranges[b].size, RAYS_PER_THREAD,
-        )  # fmt: skip
+        _cast_large(places[b], mask[b], scene, ranges[b])
     return ranges
+
+
+def _cast_large(poses: FloatArray, active: BoolArray, scene: tuple[Any, ...], ranges: RangeArray) -> None:
+    """Cast the scans of one world, its cells shared out over the threads."""
+    ranges[~active] = np.inf
+    world = make_cells(poses, active)
+    cells = list_cells(world)
+    in_slots, axes = sort_poses(world, poses)
+    in_parts(
+        lambda first, last: cast_cells(world, cells[first:last], in_slots, axes, *scene, ranges),
+        len(cells), ranges.size, RAYS_PER_THREAD,
+    )  # fmt: skip
 
 
 def cast_rolling(
@@ -115,7 +125,7 @@ def cast_rolling(
         Ranges, shape (B, N, R) [m], as ``cast_scans``.
 
     Raises:
-        ConfigurationError: If the shapes do not fit.
+        ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
     _check_batch(start, active)
     _check_batch(end, active)

@@ -258,7 +258,7 @@ class World:
         values = np.asarray(commands, dtype=np.float64)
         if values.shape != self._poses.shape:
             raise TriformError(f"commands of shape {values.shape} given; {self._poses.shape} is needed")
-        finite = np.isfinite(values).all(axis=2)
+        finite = np.isfinite(values).all(axis=2) | ~self._active
         if not finite.all():
             b, i = np.argwhere(~finite)[0]
             raise TriformError(f"the command {values[b, i]} of robot {i} in world {b} is not finite")
