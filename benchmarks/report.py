@@ -12,6 +12,8 @@ from benchmarks.timing import Spread
 from triform.files import make_folder, write_atomically
 
 FORMAT, VERSION = "triform-bench", 1
+#: Load average above which somebody else was using the machine.
+BUSY = 0.5
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,8 @@ def markdown(machine: dict[str, Any], groups: list[GroupResult], quick: bool) ->
     lines = ["# Benchmarks", "", "Written by `make bench`. Medians; in brackets the quartiles over the turns.", ""]
     if quick:
         lines += ["**A quick run: it shows that everything works, and measures nothing well.**", ""]
+    if groups and groups[0].load_before > BUSY:
+        lines += [f"**The machine was busy: a load of {groups[0].load_before:.2f} before the first group.**", ""]
     lines += [f"{sum(bool(row.reached) for row in aimed)} of {len(aimed)} aims reached.", ""]
     lines += ["## Machine", "", "| | |", "|---|---|"]
     lines += [f"| {_cell(name)} | {_cell(_plain(value))} |" for name, value in machine.items()]

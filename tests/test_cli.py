@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow.parquet as parquet
@@ -126,6 +127,42 @@ def test_a_stopped_training_says_so_and_resumes(tmp_path: Path, stop: signal.Sig
     assert "Traceback" not in errors
     assert (tmp_path / "state.safetensors").exists()
     assert main([*command[3:], "--resume"]) == 0
+
+
+def test_the_first_command_says_that_it_compiles(tmp_path: Path, monkeypatch, capsys) -> None:
+    @dataclass(frozen=True)
+    class Nothing:
+        """No options."""
+
+    monkeypatch.setitem(COMMANDS, "demo", ("", lambda: (Nothing, lambda config, console: None)))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    with pytest.raises(SystemExit):
+        main(["demo", "--help"])
+    assert "compiling" not in capsys.readouterr().err
+    assert main(["demo"]) == 0
+    assert capsys.readouterr().err == "compiling kernels, once after an installation: about a minute\n"
+    (tmp_path / "geometry").mkdir()
+    (tmp_path / "geometry/kernel.nbi").touch()
+    assert main(["demo"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_without_a_terminal_lines_tell_how_far_a_command_is(capsys) -> None:
+    expert = ["--controller", "expert", "--runs", "1"]
+    assert main(["evaluate", "--robots", "1", "2", "--duration", "6", *expert]) == 0
+    assert len([line for line in capsys.readouterr().out.splitlines() if line.startswith("done after")]) == 2
+    assert main(["dynamic", "--robots", "3", "--duration", "12", "--change-time", "6", *expert]) == 0
+    assert len([line for line in capsys.readouterr().out.splitlines() if line.startswith("done after")]) == 2
+
+
+@pytest.mark.parametrize("command", ["collect", "train"])
+def test_a_refusal_before_the_work_stands_alone(command: str, tmp_path: Path, capsys) -> None:
+    (tmp_path / "foreign").touch()
+    refused = {"collect": [], "train": ["--data", str(tmp_path / "none")]}[command]
+    assert main([command, "--out", str(tmp_path), *refused]) == 1
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.splitlines()[-1].startswith("triform: ")
 
 
 def test_a_missing_extra_is_named(tmp_path: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import field, make_dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -89,6 +91,13 @@ def _overview() -> str:
     return "\n".join([*lines, "", "triform COMMAND --help shows a command's options."])
 
 
+def _kernels_missing() -> bool:
+    """Whether Numba's folder of compiled kernels, if it is known, has none yet."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    # Numba makes folders as soon as kernels are imported, and an index with the first one that it compiles.
+    return folder is not None and not any(Path(folder).rglob("*.nbi"))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status: 0 done, 1 it could not be done, 2 wrong usage."""
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -102,7 +111,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     try:
         options, run = COMMANDS[given[0]][1]()
-        run(tyro.cli(options, prog=f"triform {given[0]}", args=given[1:]), Console())
+        chosen = tyro.cli(options, prog=f"triform {given[0]}", args=given[1:])
+        if _kernels_missing():
+            sys.stderr.write("compiling kernels, once after an installation: about a minute\n")
+        run(chosen, Console())
     except TriformError as error:
         errors.print(f"triform: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
         return 1
@@ -113,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"triform: {given[0]} needs {error.name}; install it with: pip install 'triform[{extra}]'\n")
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write("triform: interrupted; what was finished is kept, and train goes on with --resume\n")
+        sys.stderr.write("triform: interrupted; files written so far are kept; train goes on with --resume\n")
         return 130
     return 0
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -52,16 +55,17 @@ class Collect:
 
         given = _given(self, "teacher", "seed", "runs", "steps", "placements")
         config = replace(PRESETS[self.preset], **given)
-        with open_engine(self.engine, self.workers, self.ray_address) as engine, _progress(console) as bar:
-            task = bar.add_task("collecting", total=config.maps, rate=0.0)
-            manifest = collect(
-                self.out,
-                config,
-                progress=lambda done, total: bar.update(
-                    task, completed=done, total=total, rate=bar.tasks[0].speed or 0.0
-                ),
-                engine=engine,
-            )
+        began: tuple[float, int] | None = None
+        with open_engine(self.engine, self.workers, self.ray_address) as engine, _progress(console) as update:
+
+            def show(done: int, total: int) -> None:
+                nonlocal began
+                now = time.monotonic()
+                began = began or (now, done)
+                rate = (done - began[1]) / max(now - began[0], 1e-3)
+                update(description="collecting", completed=done, total=total, rate=rate)
+
+            manifest = collect(self.out, config, progress=show, engine=engine)
         size = sum(shard.bytes for shard in manifest.shards) / 1e6
         console.print(
             f"{config.maps:,} maps in {len(manifest.shards)} shards, {size:,.1f} MB, in {self.out}",
@@ -122,8 +126,7 @@ class Train:
         if self.data is not None and self.teacher is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(get_preset(self.preset), **given)
-        with _progress(console) as bar:
-            task = bar.add_task("training", total=None, rate=0.0)
+        with _progress(console) as update:
             best = train(
                 config,
                 self.out,
@@ -131,8 +134,7 @@ class Train:
                 resume=self.resume,
                 device=self.device,
                 producers=self.producers,
-                report=lambda at: bar.update(
-                    task,
+                report=lambda at: update(
                     completed=at.step,
                     total=at.steps,
                     rate=at.maps_per_second,
@@ -187,9 +189,13 @@ def _given(options: Collect | Train, *names: str) -> dict[str, Any]:
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
 
 
-def _progress(console: Console) -> Progress:
-    """A bar with the rate of the work and the time left."""
-    return Progress(
+@contextmanager
+def _progress(console: Console) -> Iterator[Callable[..., None]]:
+    """Give a function that updates a bar with the rate of the work and the time left.
+
+    The bar appears with the first update, so that a refusal before the work stands alone.
+    """
+    bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
@@ -197,3 +203,14 @@ def _progress(console: Console) -> Progress:
         TimeRemainingColumn(elapsed_when_finished=True),
         console=console,
     )
+    task = bar.add_task("", total=None, rate=0.0)
+
+    def update(**fields: Any) -> None:
+        bar.start()
+        bar.update(task, **fields)
+
+    try:
+        yield update
+    finally:
+        if bar.live.is_started:
+            bar.stop()

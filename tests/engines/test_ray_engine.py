@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import signal
 import socket
@@ -141,7 +142,9 @@ def test_commands_take_the_engine_and_the_address(address, tmp_path, capsys):
     assert main([*reproduce, "--output", str(tmp_path / "results"), *ray]) == 0
     assert "ray" not in (tmp_path / "results/index.md").read_text().split("triform reproduce fig4")[1].splitlines()[0]
     assert main(["collect", "--out", str(tmp_path / "data"), "--runs", "1", "--placements", "0", *ray]) == 0
-    assert capsys.readouterr().err == ""
+    assert "triform:" not in capsys.readouterr().err
+    configurations = [json.loads((tmp_path / f"{name}.json").read_text())["config"] for name in ("here", "ray")]
+    assert configurations[0] == configurations[1]
 
 
 def test_no_more_items_than_threads_are_with_a_cluster(address):
@@ -149,6 +152,62 @@ def test_no_more_items_than_threads_are_with_a_cluster(address):
         began = dict(engine.run(lambda item, report: (time.time(), time.sleep(0.1), time.time()), [0, 1, 2]))
     for item in range(2):
         assert began[item][2] <= began[item + 1][0]
+
+
+def test_progress_shows_while_an_item_is_done_and_not_twice_when_it_is_done_again(engine, tmp_path):
+    shown, killed, amounts = tmp_path / "shown", tmp_path / "killed", []
+
+    def work(item, report):
+        total = 0
+        for _ in range(600):
+            report(1)
+            total += 1
+            if shown.exists():
+                break
+            time.sleep(0.1)
+        if not killed.exists():
+            killed.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        report(1000 - total)
+        return shown.exists()
+
+    def show(amount):
+        amounts.append(amount)
+        shown.touch()
+
+    assert dict(engine.run(work, [0], show)) == {0: True}
+    assert killed.exists()
+    assert 0 < amounts[0] < 1000
+    assert min(amounts) > 0
+    assert sum(amounts) == 1000
+
+
+def test_a_lost_noticeboard_changes_no_result(engine):
+    def work(item, report):
+        time.sleep(1.1)
+        report(1)
+        return item
+
+    with_progress = engine.run(work, [0, 1, 2], [].append)
+    found = dict([next(with_progress)])
+    importlib.import_module("ray").kill(engine._board.actor)
+    assert found | dict(with_progress) == {0: 0, 1: 1, 2: 2}
+
+
+@pytest.mark.parametrize("noted", ["variable", "file"])
+def test_auto_does_not_wait_for_a_cluster_that_is_gone(noted, tmp_path, capsys, monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        gone = f"127.0.0.1:{listener.getsockname()[1]}"
+    monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
+    monkeypatch.setenv("RAY_ADDRESS", gone if noted == "variable" else "")
+    (tmp_path / "ray").mkdir()
+    (tmp_path / "ray/ray_current_cluster").write_text(gone if noted == "file" else "")
+    out = str(tmp_path / "data")
+    assert main(["collect", "--out", out, "--engine", "ray", "--ray-address", "auto"]) == 1
+    shown = capsys.readouterr()
+    assert shown.err.startswith(f"triform: cannot use Ray at {gone}: connection refused")
+    assert len(shown.err.strip().splitlines()) == 1
+    assert shown.out == ""
 
 
 def test_errors_of_a_task_come_back_in_one_sentence(engine):

@@ -1,4 +1,4 @@
-"""The Ray engine: processes of this machine or of a whole cluster. The only module that imports Ray.
+"""The Ray engine: processes of this machine or of a whole cluster. Only this room imports Ray.
 
 No file system is shared: tasks, items and results travel as bytes.
 """
@@ -9,7 +9,8 @@ import functools
 import os
 import socket
 from collections.abc import Callable, Generator, Sequence
-from itertools import islice
+from itertools import count, islice
+from pathlib import Path
 from typing import Any
 
 import ray
@@ -17,6 +18,7 @@ from ray import cloudpickle
 
 from triform.engines.identity import differences, identity
 from triform.engines.interface import Item, Report, Result, Task
+from triform.engines.progress import Noticeboard, reporter
 from triform.threads import limit_threads, usable_threads
 from triform.types import ConfigurationError, TriformError, require
 
@@ -45,6 +47,8 @@ class RayEngine:
         """
         require(threads is None or threads >= 1, f"{threads} workers asked for; at least 1 is needed")
         self._at_once = threads if address is not None else None
+        self._board: Noticeboard | None = None
+        self._keys = count()
         quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "critical"}
         try:
             if address is None:
@@ -54,13 +58,17 @@ class RayEngine:
                     "local", num_cpus=workers, num_gpus=0, object_store_memory=store, include_dashboard=False, **quiet
                 )
             else:
-                _check_address(address)
+                address = _resolved(address)
+                if address != "auto":
+                    _check_address(address)
                 ray.init(address, **quiet)
         except ConfigurationError:
             raise
         except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
             if address is None:
                 raise TriformError(f"cannot start Ray on this machine: {_first_line(error)}") from error
+            if address == "auto" and isinstance(error, ConnectionError):
+                raise TriformError("no Ray cluster runs on this machine; give its head's host:port") from error
             raise TriformError(
                 f"cannot use Ray at {address}: {_first_line(error)} (a cluster that asks for a token needs "
                 "RAY_AUTH_MODE=token here as on its nodes)"
@@ -73,7 +81,7 @@ class RayEngine:
     def run(
         self, task: Task[Item, Result], items: Sequence[Item], on_progress: Report | None = None
     ) -> Generator[tuple[int, Result], None, None]:
-        """As ``Engine.run``; progress is noted whenever an item is finished, and ``close`` stops items under way.
+        """As ``Engine.run``; progress is noted about once a second, and ``close`` stops items under way.
 
         They are not cancelled one by one, because ``ray.cancel`` on an item that is just being finished can abort
         this process (Ray 2.60: "Tried to complete task that was not pending").
@@ -83,20 +91,42 @@ class RayEngine:
         """
         remote = ray.remote(_by_value()).options(num_cpus=1, max_retries=_RETRIES, retry_exceptions=False)
         pickled, here = ray.put(cloudpickle.dumps(task)), identity()
+        board = self._noticeboard() if on_progress is not None else None
+        actor = board.actor if board is not None else None
         waiting = iter(enumerate(items))
-        running: dict[Any, int] = {}
+        running: dict[Any, tuple[int, int]] = {}
+        shown: dict[int, float] = {}
+
+        def show(key: int, amount: float) -> None:
+            # What an item that is done again reports was shown before.
+            more = amount - shown.get(key, 0.0)
+            if on_progress is not None and more > 0.0:
+                shown[key] = amount
+                on_progress(more)
+
         while True:
             for index, item in islice(waiting, max(0, self._most() - len(running))):
-                running[remote.remote(pickled, cloudpickle.dumps(item), here)] = index
+                key = next(self._keys)
+                running[remote.remote(pickled, cloudpickle.dumps(item), here, actor, key)] = index, key
             if not running:
                 return
             # Ctrl-C is noticed between two calls.
             finished, _ = ray.wait(list(running), timeout=1.0)
             for reference in finished:
                 result, reported = _outcome(reference)
-                if on_progress is not None:
-                    on_progress(reported)
-                yield running.pop(reference), result
+                index, key = running.pop(reference)
+                show(key, reported)
+                yield index, result
+            if board is not None:
+                under_way = {key for _, key in running.values()}
+                for key, amount in board.read().items():
+                    if key in under_way:
+                        show(key, amount)
+
+    def _noticeboard(self) -> Noticeboard:
+        if self._board is None:
+            self._board = Noticeboard()
+        return self._board
 
     def _most(self) -> int:
         """Items that may be with Ray now: enough that no worker waits, few enough for any memory."""
@@ -105,13 +135,15 @@ class RayEngine:
         return 2 * max(1, int(ray.cluster_resources().get("CPU", 0)))
 
 
-def carry_out(task: bytes, item: bytes, driver: dict[str, str]) -> tuple[bytes, float]:
+def carry_out(task: bytes, item: bytes, driver: dict[str, str], board: Any, key: int) -> tuple[bytes, float]:
     """Do one item on a worker.
 
     Args:
         task: The pickled task.
         item: The pickled item.
         driver: ``identity`` of the machine that will use the result.
+        board: Actor of the noticeboard for reports; ``None`` if nobody reads them.
+        key: Of this item on it.
 
     Returns:
         The pickled result, or the pickled ``TriformError`` that the task raised or that this machine is refused with;
@@ -121,13 +153,13 @@ def carry_out(task: bytes, item: bytes, driver: dict[str, str]) -> tuple[bytes, 
     if unlike:
         # Checked before unpickling, which other versions might not survive.
         return cloudpickle.dumps(foreign(unlike)), 0.0
-    reports: list[float] = []
+    report, total = reporter(board, key)
     try:
         with limit_threads(1):
-            result = _unpickled(task)(cloudpickle.loads(item), reports.append)
+            result = _unpickled(task)(cloudpickle.loads(item), report)
     except TriformError as error:
         return cloudpickle.dumps(error), 0.0
-    return cloudpickle.dumps(result), sum(reports)
+    return cloudpickle.dumps(result), total()
 
 
 def foreign(unlike: str) -> TriformError:
@@ -145,16 +177,16 @@ def _unpickled(task: bytes) -> Task[Any, Any]:
     return unpickled
 
 
-def _by_value() -> Callable[[bytes, bytes, dict[str, str]], tuple[bytes, float]]:
+def _by_value() -> Callable[[bytes, bytes, dict[str, str], Any, int], tuple[bytes, float]]:
     """The function that Ray sends to workers: a local one, which goes there whole, whatever they have installed."""
 
-    def triform_item(task: bytes, item: bytes, driver: dict[str, str]) -> tuple[bytes, float]:
+    def triform_item(task: bytes, item: bytes, driver: dict[str, str], board: Any, key: int) -> tuple[bytes, float]:
         try:
             from triform.engines.cluster import carry_out
         except ImportError as error:
             message = f"a Ray node cannot import triform ({error}); install it on every node, with the extra ray"
             raise RuntimeError(message) from None
-        return carry_out(task, item, driver)
+        return carry_out(task, item, driver, board, key)
 
     return triform_item
 
@@ -180,6 +212,22 @@ def _outcome(reference: Any) -> tuple[Any, float]:
     return result, reported
 
 
+def _resolved(address: str) -> str:
+    """The ``host:port`` that Ray takes ``auto`` for, or ``auto`` if only Ray can find one."""
+    if address != "auto":
+        return address
+    given = os.environ.get("RAY_ADDRESS") or "auto"
+    if given != "auto":
+        return given
+    # ``ray start`` notes its head there (ray._private.utils.read_ray_address).
+    temporary = os.environ.get("RAY_TMPDIR") or os.environ.get("TMPDIR") or "/tmp"  # noqa: S108
+    note = Path(temporary, "ray", "ray_current_cluster")
+    try:
+        return note.read_text().strip() or "auto"
+    except OSError:
+        return "auto"
+
+
 def _check_address(address: str) -> None:
     """Make sure that a server like Ray's answers there, because Ray itself would try for minutes.
 
@@ -187,8 +235,6 @@ def _check_address(address: str) -> None:
         ConfigurationError: If it is no address.
         OSError: If nothing answers.
     """
-    if address == "auto":
-        return
     host, _, port = address.rpartition(":")
     require(
         host != "" and port.isdecimal() and 0 < int(port) < 2**16,

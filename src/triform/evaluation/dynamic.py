@@ -224,6 +224,7 @@ def run_dynamic(config: DynamicConfig, console: Console) -> dict[str, Any]:
     """Run additions and removals with a progress bar, keep the results in files and print the table.
 
     Files are rewritten when all additions and when all removals are done, so an interrupted experiment keeps them.
+    Where no bar can be drawn, a line tells of each.
 
     Args:
         config: What to run and which files to write.
@@ -259,6 +260,8 @@ def run_dynamic(config: DynamicConfig, console: Console) -> dict[str, Any]:
                 write_json(config.json, result)
             if config.parquet is not None:
                 write_parquet(config.parquet, concatenate(tables))
+            if not console.is_terminal:
+                console.print(f"done after {result['wall_seconds']:.1f} s: every {change}", soft_wrap=True)
     console.print(rich_table(f"dynamic team, {config.controller}", *change_rows(result["results"])))
     for path in (config.json, config.parquet):
         if path is not None:

@@ -24,7 +24,7 @@ from triform.threads import limit_threads
 from triform.types import Controller, PrivilegedView, require
 
 #: Settings that say nothing about results.
-_UNRECORDED = {"json", "parquet", "ray_address"}
+_UNRECORDED = {"json", "parquet", "engine", "ray_address", "threads"}
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,8 @@ def describe(scenario: Scenario, controller: Controller[PrivilegedView]) -> dict
 def run_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
     """Evaluate with a progress bar, keep the results in files and print the table.
 
-    Files are rewritten whenever a team size is done, so an interrupted evaluation keeps the finished sizes.
+    Files are rewritten whenever a team size is done, so an interrupted evaluation keeps the finished sizes. Where no
+    bar can be drawn, a line tells of every size that is done.
 
     Args:
         config: What to run and which files to write.
@@ -208,6 +209,9 @@ def run_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
             write_json(config.json, evaluation.as_json())
         if per_run_file is not None:
             write_parquet(per_run_file, evaluation.runs)
+        if not console.is_terminal:
+            sizes = ", ".join(str(table["robots"][0]) for table in evaluation.tables)
+            console.print(f"done after {evaluation.wall_seconds:.1f} s: teams of {sizes}", soft_wrap=True)
 
     with progress_bar(console, "evaluating", 1.0) as advance:
         evaluation = evaluate(config, advance, keep)
