@@ -13,7 +13,7 @@ from triform.files import make_folder, write_atomically
 
 FORMAT, VERSION = "triform-bench", 1
 #: Load average above which somebody else was using the machine.
-BUSY = 0.5
+BUSY = 1.0
 
 
 @dataclass(frozen=True)
