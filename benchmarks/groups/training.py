@@ -71,8 +71,8 @@ def _small(settings: Settings, watch: Watch) -> Row:
         Spread.of(rates, "maps/s"),
         Aim(">=", 15_000),
         {"drawing maps, 1 thread": drawing},
-        "The loop of `triform train --preset default`: PyTorch on one thread, attention on all, and one thread that draws "
-        "and packs maps. Bound by the number of small operations: a step has some 400 of them for 112 maps.",
+        "The loop of `triform train --preset default`: PyTorch on one thread, attention on all, and one thread that "
+        "draws and packs maps. Bound by the number of small operations: a step has some 400 of them for 112 maps.",
     )
 
 

@@ -178,8 +178,8 @@ class Export:
         maps = fresh.maps[:_CHECKED_MAPS]
         difference = export_policy(self.folder, maps, self.precision, self.out)
         console.print(
-            f"wrote {(self.out or self.folder) / ONNX_FILE} in {self.precision}; on {len(maps)} fresh maps its commands "
-            f"differ from PyTorch's by {difference.mean:.0e} on average and {difference.largest:.0e} at most",
+            f"wrote {(self.out or self.folder) / ONNX_FILE} in {self.precision}; on {len(maps)} fresh maps its "
+            f"commands differ from PyTorch's by {difference.mean:.0e} on average and {difference.largest:.0e} at most",
             soft_wrap=True,
             markup=False,
         )
