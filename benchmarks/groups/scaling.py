@@ -52,7 +52,7 @@ def _expert(world: World) -> Callable[[], object]:
 
 def _sensing(world: World) -> Callable[[], object]:
     poses, active, arena, scan = world.poses, world.active, Arena.open(), ScanConfig()
-    return lambda: cast_scans(poses, active, ROBOMASTER_EP, arena, scan)
+    return lambda: cast_scans(poses, active, ROBOMASTER_EP, arena, scan, dtype=np.float32)
 
 
 def _policy(world: World) -> Callable[[], object]:
