@@ -71,7 +71,7 @@ def _small(settings: Settings, watch: Watch) -> Row:
         Spread.of(rates, "maps/s"),
         Aim(">=", 15_000),
         {"drawing maps, 1 thread": drawing},
-        "The loop of `triform train --preset default`: PyTorch on one thread, attention on all, and one thread that "
+        "The loop of `triform train --preset default`: one thread for the network and one that "
         "draws and packs maps. Bound by the number of small operations: a step has some 400 of them for 112 maps.",
     )
 

@@ -6,7 +6,6 @@ where memory begins elsewhere, and a resumed training would then no longer equal
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
 
@@ -18,12 +17,6 @@ from torch.nn import functional
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from triform.policy.ragged import attend, attend_backward
-from triform.threads import in_parts
-
-#: Products of numbers that keep a thread busy for about half a millisecond.
-_PRODUCTS_PER_THREAD = 700_000
-#: Products of the backward pass for one of the forward pass.
-_BACKWARD = 2.5
 
 
 class Rows:
@@ -98,18 +91,6 @@ def _token_lists(counts: np.ndarray[Any, np.dtype[np.int64]]) -> tuple[Any, Any]
     return tokens, first
 
 
-def _by_maps(kernel: Callable[[Any, Any], None], first: Any, heads: int, weights: Any, products: float) -> None:
-    """Call ``kernel(first, weights)`` on the maps, shared out over the threads."""
-    ends = np.zeros(len(first), dtype=np.int64)
-    np.cumsum(heads * np.diff(first) ** 2, out=ends[1:])
-    in_parts(
-        lambda a, b: kernel(first[a : b + 1], weights[ends[a] : ends[b]]),
-        len(first) - 1,
-        products * ends[-1],
-        _PRODUCTS_PER_THREAD,
-    )
-
-
 def _array(x: Tensor) -> np.ndarray[Any, Any]:
     return x.detach().contiguous().numpy()
 
@@ -125,28 +106,18 @@ class _SelfAttention(torch.autograd.Function):
         lengths = np.diff(first)
         weights = np.empty(heads * int(lengths @ lengths), dtype=x.dtype)
         out = torch.zeros(x.shape[0], heads, x.shape[2], dtype=torch.from_numpy(x).dtype)
-        scale, mixed = x.dtype.type(x.shape[2] ** -0.5), out.numpy()
-
-        def kernel(firsts: Any, part: Any) -> None:
-            attend(x, x, x, tokens, firsts, tokens, firsts, heads, heads, 2 * heads, scale, mixed, part)
-
-        _by_maps(kernel, first, heads, weights, x.shape[2])
-        ctx.kept, ctx.dtype = (x, tokens, first, scale, weights), qkv.dtype
+        layout = (tokens, first, tokens, first, heads, heads, 2 * heads, x.dtype.type(x.shape[2] ** -0.5))
+        attend(x, x, x, *layout, out.numpy(), weights)
+        ctx.kept, ctx.dtype = (x, layout, weights), qkv.dtype
         return out
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        x, tokens, first, scale, weights = ctx.kept
-        heads = x.shape[1] // 3
+        x, layout, weights = ctx.kept
         d_qkv = torch.zeros(x.shape, dtype=grad.dtype)
-        d_x, given = d_qkv.numpy(), _array(grad)
-
-        def kernel(firsts: Any, part: Any) -> None:
-            layout = (tokens, firsts, tokens, firsts, heads, heads, 2 * heads, scale)
-            attend_backward(x, x, x, *layout, part, given, d_x, d_x, d_x)
-
-        _by_maps(kernel, first, heads, weights, _BACKWARD * x.shape[2])
+        d_x = d_qkv.numpy()
+        attend_backward(x, x, x, *layout, weights, _array(grad), d_x, d_x, d_x)
         return d_qkv.to(ctx.dtype), None, None
 
 

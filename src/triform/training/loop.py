@@ -14,7 +14,6 @@ from torch import Tensor, nn
 
 from triform.files import exclusive, make_folder, write_atomically
 from triform.policy.vit import VisionTransformer
-from triform.threads import limit_threads
 from triform.training.auxiliary import AuxiliaryHead, auxiliary_loss
 from triform.training.batches import DeviceBatch, TrainBatch, open_source
 from triform.training.books import STATE_FILE, Books, Progress
@@ -22,7 +21,7 @@ from triform.training.flat import FlatParameters
 from triform.training.precision import matrix_products, reduced
 from triform.training.prefetch import Prefetched
 from triform.training.presets import TrainConfig
-from triform.training.processes import Processes, joined, local_device, thread_share
+from triform.training.processes import Processes, joined, local_device
 from triform.training.state import load_state, read_progress
 from triform.training.stopping import stop_requests
 from triform.types import TriformError, require
@@ -152,7 +151,6 @@ def train(
         producers = 1 if target.type == "cpu" else 4
     require(producers >= 1, f"producers is {producers}; it must be at least 1")
     with joined(target) as processes, matrix_products(config.precision), ExitStack() as held:
-        held.enter_context(limit_threads(thread_share()))
         source = open_source(config, data)
         if processes.first:
             make_folder(out)

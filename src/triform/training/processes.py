@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, distributed
 
-from triform.threads import usable_threads
 from triform.types import TriformError
 
 
@@ -66,11 +65,6 @@ ALONE = Processes()
 def launched() -> Processes:
     """The processes that ``torchrun`` started; a process started otherwise is alone."""
     return Processes(int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1")))
-
-
-def thread_share() -> int:
-    """Threads of this machine that fall to this process."""
-    return max(1, usable_threads() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
 
 
 def local_device(device: str) -> str:
