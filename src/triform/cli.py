@@ -58,6 +58,13 @@ def _dynamic() -> tuple[Any, Callable[..., Any]]:
     return DynamicConfig, run_dynamic
 
 
+def _conditions() -> tuple[Any, Callable[..., Any]]:
+    from triform.evaluation.conditions import ConditionsConfig
+    from triform.evaluation.sweep import run_conditions
+
+    return ConditionsConfig, run_conditions
+
+
 def _reproduce() -> tuple[Any, Callable[..., Any]]:
     from triform.evaluation.reproduce import ReproduceConfig, What, reproduce
 
@@ -78,6 +85,7 @@ COMMANDS: dict[str, tuple[str, Callable[[], tuple[Any, Callable[..., Any]]]]] = 
     "demo": ("run one team and draw it", _demo),
     "evaluate": ("measure a controller on many starts", _evaluate),
     "dynamic": ("measure teams that a robot joins or leaves", _dynamic),
+    "conditions": ("measure a controller under many conditions", _conditions),
     "reproduce": ("write the paper's tables and figures", _reproduce),
     "collect": ("collect demonstrations", _collect),
     "train": ("train a policy", _train),

@@ -12,7 +12,7 @@ A *pose* is ``(x, y, heading)`` in the world frame [m, m, rad]; a *body twist*, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -26,8 +26,10 @@ IntArray = NDArray[np.int64]
 #: Occupancy maps: 1 where something is, 0 elsewhere; axis H grows with x (forward), axis W with y (left).
 MapArray = NDArray[np.uint8]
 
-#: Reach of the paper's LiDAR: how far one robot sees another [m].
+#: Reach of the paper's LiDAR: how far one robot sees another [m], for a prescribed distance of 1 m.
 SENSING_RANGE = 2.0
+#: How long a robot holds a random push before it draws another [s].
+PUSH_PERIOD = 0.5
 
 
 class TriformError(Exception):
@@ -142,11 +144,17 @@ class View:
         scans: The newest finished scan of every robot, ranges of shape (B, N, R).
         active: Which robots exist, shape (B, N); the others' scans are ``+inf`` throughout.
         time: Time since the start of the run [s].
+        push: Two standard normal numbers of every robot's own seeded generator, drawn anew every ``PUSH_PERIOD``, for
+            controllers that push robots at random, shape (B, N, 2); ``None`` where the team has no such generator.
+        moved: Wheel odometry: the pose of every robot now in its own body frame at the moment that its scan shows
+            [m, m, rad], shape (B, N, 3); ``None`` where the team has none.
     """
 
     scans: Scan
     active: BoolArray
     time: float
+    push: FloatArray | None = field(default=None, kw_only=True)
+    moved: FloatArray | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         if self.active.ndim != 2 or self.scans.ranges.shape[:-1] != self.active.shape:
@@ -154,6 +162,11 @@ class View:
                 f"a view has ranges of shape {self.scans.ranges.shape} and active of shape {self.active.shape}; "
                 "(B, N, R) and (B, N) are needed"
             )
+        for name, values, width in (("push", self.push, 2), ("moved", self.moved, 3)):
+            if values is not None and values.shape != (*self.active.shape, width):
+                raise ConfigurationError(
+                    f"a view has {name} of shape {values.shape}; {(*self.active.shape, width)} is needed"
+                )
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,8 @@ def test_the_table_has_a_row_per_controller_and_size(tmp_path, console):
     markdown = (tmp_path / "comparison.md").read_text()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in markdown.splitlines() if line[:1] == "|"]
     assert rows[0] == [
-        "controller", "robots", "success", "sensed", "strict", "median error", "95 % error", "time", "compact",
-        "closest", "overlap",
+        "controller", "robots", "success", "sensed", "strict", "hold", "strict at", "drift", "median error",
+        "95 % error", "time", "compact", "closest", "overlap",
     ]  # fmt: skip
     assert [row[:2] for row in rows[2:]] == [[name, str(n)] for name in ("expert", "expert-sensed") for n in SIZES]
     assert "triform reproduce comparison" in markdown

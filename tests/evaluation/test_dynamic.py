@@ -10,7 +10,9 @@ from triform.engines import LocalEngine
 from triform.evaluation import (
     ChangedRuns,
     DynamicConfig,
+    Trajectory,
     dynamic,
+    measure,
     run_changes,
     run_dynamic,
     scenario,
@@ -70,6 +72,39 @@ def test_recovery_is_measured_on_the_changed_team_after_the_change(addition):
     np.testing.assert_array_equal(np.isfinite(table["recovery_time"]), table["success"])
     assert np.nanmin(table["recovery_time"]) >= 5
     assert len(trajectory.poses) == summary["runs"] == 4
+
+
+def test_strictness_is_reported_of_the_changed_team(addition):
+    trajectory, table = addition
+    changed = measure(trajectory.since(6.0))
+    for name in ("strict", "strict_hold", "settled_speed"):
+        np.testing.assert_array_equal(table[name], changed[name])
+    np.testing.assert_array_equal(table["strict_recovery_time"], changed["strict_time"] - 6.0)
+    np.testing.assert_array_equal(table["strict_before"], measure(_until(trajectory, 6.0))["strict"])
+    summary = summarise_changes(table)
+    assert summary["strict"] == np.mean(changed["strict"])
+    assert summary["strict_before"] == np.mean(table["strict_before"])
+
+
+def _until(trajectory, time):
+    """The records before ``time``, and the earlier team at ``time``, in which nobody had moved since."""
+    last = int(np.searchsorted(trajectory.time, time - 1e-6))
+    earlier = trajectory.active[:, last - 1, :, None]
+    poses = trajectory.poses[:, : last + 1].copy()
+    poses[:, last] = np.where(earlier, poses[:, last], np.nan)
+    active = trajectory.active[:, : last + 1].copy()
+    active[:, last] = earlier[..., 0]
+    return Trajectory(trajectory.time[: last + 1], poses, active, trajectory.commands[:, :last])
+
+
+@pytest.mark.parametrize("distance", [0.6, 1.5])
+def test_whoever_joins_keeps_the_prescribed_distance(distance):
+    config = DynamicConfig(**(QUICK | {"distance": distance, "controller": "scan-pipeline"}))
+    trajectory, table = run_changes(config, config.make_controller(), ChangedRuns("addition", 0, 4))
+    at = int(np.searchsorted(trajectory.time, 6 - 1e-6))
+    for run, robot in enumerate(table["changed_robot"]):
+        apart = np.linalg.norm(trajectory.positions[run, at] - trajectory.positions[run, at, robot], axis=-1)
+        assert max(0.5, 0.5 * distance) <= np.delete(apart, robot).min() <= 2.0 * distance
 
 
 def test_runs_torn_apart_by_the_change_are_counted_apart(addition):

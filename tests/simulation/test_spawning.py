@@ -77,6 +77,30 @@ def test_a_large_team_in_a_wide_square_is_linked_all_the_same() -> None:
     assert linked(np.ascontiguousarray(poses[:, :2]), 2.0)
 
 
+@pytest.mark.parametrize("distance", [0.6, 0.8, 1.25, 1.5])
+@pytest.mark.parametrize("robots", [4, 7, 13, 20, 50])
+def test_starts_grow_with_the_prescribed_distance(robots: int, distance: float) -> None:
+    poses = starts(robots, 20, 7, distance=distance)
+    assert square_side(robots, distance) == pytest.approx(distance * square_side(robots))
+    assert np.abs(poses[..., :2]).max() <= square_side(robots, distance) / 2
+    for start in poses:
+        distances = pdist(start[:, :2])
+        assert distances.min() >= max(0.5, 0.5 * distance)
+        assert connected_components(squareform(distances) <= 2.0 * distance)[0] == 1
+    np.testing.assert_array_equal(starts(robots, 1, 7, first=3, distance=distance)[0], poses[3])
+
+
+def test_a_scaled_start_is_the_same_start_scaled() -> None:
+    np.testing.assert_array_equal(starts(7, 5, 7, distance=1.0), starts(7, 5, 7))
+    np.testing.assert_allclose(starts(7, 5, 7, distance=1.5)[..., :2], 1.5 * starts(7, 5, 7)[..., :2])
+
+
+def test_the_square_of_small_distances_keeps_room_for_the_robots() -> None:
+    assert square_side(13, 0.6) == pytest.approx(3.0)
+    assert square_side(13, 0.5) == square_side(13, 0.6)
+    assert pdist(starts(7, 1, 1, distance=0.5)[0, :, :2]).min() >= 0.5
+
+
 def test_a_single_robot_is_uniform() -> None:
     poses = starts(1, 2000, 5)[:, 0]
     for values, half in [(poses[:, 0], 2.5), (poses[:, 1], 2.5), (poses[:, 2], np.pi)]:
@@ -94,6 +118,8 @@ def test_a_square_without_room_is_refused() -> None:
         starts(9, 1, 1, side=0.6)
     with pytest.raises(ConfigurationError, match="side"):
         starts(9, 1, 1, side=0.0)
+    with pytest.raises(ConfigurationError, match="distance"):
+        starts(9, 1, 1, distance=0.0)
 
 
 def test_additions_are_near_but_not_too_near() -> None:
@@ -114,6 +140,16 @@ def test_additions_are_uniform_in_area() -> None:
     radii = [np.hypot(*sample_addition(np.zeros((1, 3)), active, rng)[:2]) for _ in range(1500)]
     share = (np.square(radii) - 0.25) / (4 - 0.25)
     assert kstest(share, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("distance", [0.6, 1.5])
+def test_additions_keep_the_prescribed_distance_too(distance: float) -> None:
+    rng = np.random.default_rng(4)
+    poses = starts(5, 1, 2, distance=distance)[0]
+    places = np.array([sample_addition(poses, np.ones(5, dtype=bool), rng, distance) for _ in range(200)])
+    nearest = np.linalg.norm(places[:, None, :2] - poses[None, :, :2], axis=-1).min(axis=1)
+    assert nearest.min() >= max(0.5, 0.5 * distance)
+    assert 1.5 * distance < nearest.max() <= 2 * distance
 
 
 ROWS = np.array([[4, 1, 1.0, 2.0, 0.5], [4, 0, 0.0, 0.0, 0.0], [2, 0, 3.0, 3.0, -1.0]])

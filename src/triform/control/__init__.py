@@ -5,6 +5,7 @@ from triform.control.learned import LearnedPolicy
 from triform.control.registry import CONTROLLERS, make_controller, shipped_weights, weights_folder
 from triform.control.scan_pipeline import ScanPipeline
 from triform.control.teacher import Teacher
+from triform.control.triangulating import Triangulating, TriangulatingLaw
 
 __all__ = [
     "CONTROLLERS",
@@ -14,6 +15,8 @@ __all__ = [
     "LearnedPolicy",
     "ScanPipeline",
     "Teacher",
+    "Triangulating",
+    "TriangulatingLaw",
     "expert_into",
     "expert_variant",
     "make_controller",

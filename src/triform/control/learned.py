@@ -16,6 +16,12 @@ from triform.types import ConfigurationError, FloatArray, Scan, View
 _ROBOTS_PER_THREAD = 64
 
 
+import os
+
+THR = float(os.environ.get("THR", "0.05"))
+DEAD = float(os.environ.get("DEAD", "0.02"))
+
+
 class LearnedPolicy:
     """Scan -> occupancy map -> network -> body twist, the same for every robot; a ``Controller[View]``."""
 
@@ -37,9 +43,10 @@ class LearnedPolicy:
                 f"not {distance} m"
             )
         network = runtime.spec.network
-        if network.outputs != 3:
+        if network.outputs not in (3, 4):
             raise ConfigurationError(
-                f"the policy in {runtime.folder} gives {network.outputs} numbers, not a body twist"
+                f"the policy in {runtime.folder} gives {network.outputs} numbers, not a body twist with or without the "
+                "amplitude of a push"
             )
         self._runtime = runtime
         self._spec = runtime.spec
@@ -67,11 +74,19 @@ class LearnedPolicy:
         robots = np.flatnonzero(view.active)
         ranges = view.scans.ranges.reshape(-1, view.scans.config.rays)
         flat = commands.reshape(-1, 3)
+        moved = None if view.moved is None else view.moved.reshape(-1, 3)
+        push = None if view.push is None else view.push.reshape(-1, 2)
 
         def drive(first: int, last: int) -> None:
             for begin in range(first, last, SCANS_AT_ONCE):
                 some = robots[begin : min(begin + SCANS_AT_ONCE, last)]
-                flat[some] = self._runtime.commands(packer.pack(ranges[some]))
+                answers = self._runtime.commands(packer.pack(ranges[some], None if moved is None else moved[some]))
+                flat[some] = answers[:, :3]
+                if answers.shape[1] > 3 and push is not None:
+                    amplitude = answers[:, 3:]
+                    flat[some, :2] += np.where(amplitude > THR, amplitude, 0.0) * push[some]
+                speed = np.linalg.norm(flat[some, :2], axis=1)
+                flat[some] *= (speed > DEAD)[:, None]
 
         in_parts(drive, len(robots), len(robots), _ROBOTS_PER_THREAD)
         return commands

@@ -9,10 +9,11 @@ from typing import Any
 from triform.control.expert import EXPERTS, Expert
 from triform.control.learned import LearnedPolicy
 from triform.control.scan_pipeline import ScanPipeline
+from triform.control.triangulating import Triangulating
 from triform.policy import PolicyRuntime
 from triform.types import ConfigurationError, Controller
 
-CONTROLLERS = ("policy", *EXPERTS, "scan-pipeline")
+CONTROLLERS = ("policy", *EXPERTS, "triangulating", "scan-pipeline")
 DEFAULT_WEIGHTS = "default"
 
 
@@ -56,4 +57,6 @@ def make_controller(name: str, distance: float = 1.0, weights: str | None = None
         return LearnedPolicy(PolicyRuntime(weights_folder(weights), threads), distance)
     if name in EXPERTS:
         return Expert.named(name, distance)
+    if name == "triangulating":
+        return Triangulating(distance)
     return ScanPipeline(distance)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from triform.perception import map_room, occupied_into
 from triform.policy import Keep, PackedMaps, append_patches
-from triform.types import MapConfig, ScanConfig, require
+from triform.types import FloatArray, MapConfig, ScanConfig, require
 
 #: Scans that are packed at once; more only take more room.
 SCANS_AT_ONCE = 512
@@ -19,6 +19,7 @@ SCANS_AT_ONCE = 512
 @njit(cache=True, nogil=True)
 def _pack_scans(  # type: ignore[no-untyped-def]
     ranges,
+    moved,
     cos,
     sin,
     range_max,
@@ -35,13 +36,16 @@ def _pack_scans(  # type: ignore[no-untyped-def]
     positions,
     counts,
 ):
-    """Fill ``patches``, ``positions`` and ``counts`` from ``ranges`` (M, R); return the number of patches.
+    """Fill ``patches``, ``positions`` and ``counts`` from ``ranges`` (M, R), seen from where robots
+    have ``moved`` to since (M, 3); return the number of patches.
 
     The other arguments are those of ``occupied_into`` and ``append_patches``.
     """
     token = 0
     for m in range(ranges.shape[0]):
-        count = occupied_into(ranges[m], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells)
+        count = occupied_into(
+            ranges[m], moved[m], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells
+        )
         after = append_patches(cells, count, grid.shape[0] - 2, patch, keep_all, slots, patches, positions, token)
         counts[m] = after - token
         token = after
@@ -54,6 +58,7 @@ class _Room:
     def __init__(self, size: int, patch: int) -> None:
         per_map = (size // patch) ** 2
         self.grid, self.scratch, self.cells = map_room(size)
+        self.at_rest = np.zeros((SCANS_AT_ONCE, 3))
         self.slots = np.full(per_map, -1, dtype=np.int32)
         # Pages of these that no patch reaches are never touched.
         self.patches = np.empty((SCANS_AT_ONCE * per_map, patch**2), dtype=np.uint8)
@@ -87,11 +92,13 @@ class ScanPacker:
         self._cos, self._sin = np.cos(scan.angles), np.sin(scan.angles)
         self._local = threading.local()
 
-    def pack(self, ranges: NDArray[np.floating]) -> PackedMaps:
+    def pack(self, ranges: NDArray[np.floating], moved: FloatArray | None = None) -> PackedMaps:
         """Pack the maps of up to ``SCANS_AT_ONCE`` scans.
 
         Args:
             ranges: Ranges [m], shape (M, R); what is not in (0, range_max] is no return.
+            moved: Poses of the robots now in their body frames at the moments of their scans [m, m, rad], shape
+                (M, 3); where they were if ``None``.
 
         Returns:
             The packed maps; views of this thread's room, good until its next call.
@@ -108,6 +115,7 @@ class ScanPacker:
             room = self._local.room = _Room(self._map.size, self._patch)
         tokens = _pack_scans(
             ranges,
+            room.at_rest[: len(ranges)] if moved is None else moved,
             self._cos,
             self._sin,
             self.scan.range_max,

@@ -1,16 +1,18 @@
-"""The controller that a practitioner would write from one scan, without learning.
+"""The controllers that a practitioner would write from one scan, without learning.
 
-Scan -> centres of the neighbours (``detection``) -> Gabriel graph -> Eq. 8. It sees exactly what the learned policy
-sees, but is told the footprint of the robots.
+Scan -> centres of the neighbours (``detection``) -> Gabriel graph -> a law: Eq. 8 or the triangulating law. They see
+exactly what the learned policies see, but are told the footprint of the robots.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import asdict
+from typing import Any, Literal
 
 import numpy as np
 from numba import njit
 
+from triform.control._triangulating_kernels import FACTS, TERMS, triangulate
 from triform.control.detection import (
     ROBOMASTER_EP_SIZE,
     SCANS_PER_THREAD,
@@ -19,9 +21,10 @@ from triform.control.detection import (
     most_robots,
     ray_directions,
 )
+from triform.control.triangulating import TriangulatingLaw
 from triform.geometry.gabriel import gabriel_into
 from triform.threads import in_parts
-from triform.types import FloatArray, View, require
+from triform.types import SENSING_RANGE, FloatArray, View, require
 
 
 @njit(cache=True, nogil=True)
@@ -57,13 +60,58 @@ def _command_robots(  # type: ignore[no-untyped-def]
             _spring_command(centres, count, distance, gain, max_speed, out[m])
 
 
-class ScanPipeline:
-    """Model-based ``Controller[View]``: detected centres, Gabriel graph, Eq. 8.
+@njit(cache=True, nogil=True)
+def _triangulating_command(centres, count, distance, law, max_speed, push, room, out):  # type: ignore[no-untyped-def]
+    """Write the triangulating law for a robot at the origin among ``count`` centres, shape (3,)."""
+    x, y, linked, terms, facts = room
+    x[0] = y[0] = 0.0
+    points, reach = 1, law[0] * distance
+    for j in range(count):
+        # The near side of a robot beyond the law's sight may be within it.
+        if np.hypot(centres[j, 0], centres[j, 1]) <= reach:
+            x[points], y[points] = centres[j, 0] / distance, centres[j, 1] / distance
+            points += 1
+    v_x, v_y, amplitude = triangulate(x, y, points, law, linked, terms, facts)
+    u_x = distance * (v_x + amplitude * push[0])
+    u_y = distance * (v_y + amplitude * push[1])
+    speed = np.hypot(u_x, u_y)
+    scale = max_speed / speed if speed > max_speed else 1.0
+    out[0], out[1], out[2] = scale * u_x, scale * u_y, 0.0
 
-    ``u_i = gain * sum_j (r_ij - d*) e_ij`` over the Gabriel neighbours j among the robots detected in robot i's own
-    scan, with ``e_ij`` the unit vector towards j: a neighbour that is too far attracts. (As printed, Eq. 8 has the
-    opposite sign and repels it.) The command is clipped to ``max_speed`` keeping its direction, and robots do not
-    turn. A robot that sees nobody stands still.
+
+@njit(cache=True, nogil=True)
+def _triangulate_robots(  # type: ignore[no-untyped-def]
+    ranges, active, footprint, directions, angle_min, range_max, distance, law, max_speed, push, out, first, last
+):
+    """As ``_command_robots`` by the triangulating law, with random pushes of shape (M, 2)."""
+    points = most_robots(ranges.shape[1]) + 1
+    centres = np.empty((points, 2))
+    room = (
+        np.empty(points), np.empty(points), np.empty((points, points), dtype=np.bool_), np.empty((points, TERMS)),
+        np.empty(FACTS),
+    )  # fmt: skip
+    for m in range(first, last):
+        out[m] = 0.0
+        if active[m]:
+            count = detect_into(ranges[m], footprint, directions, angle_min, range_max, centres)
+            _triangulating_command(centres, count, distance, law, max_speed, push[m], room, out[m])
+
+
+class ScanPipeline:
+    """Model-based ``Controller[View]``: detected centres, Gabriel graph, and one of two laws.
+
+    The command is clipped to ``max_speed`` keeping its direction, and robots do not turn. A robot that sees nobody
+    stands still.
+
+    **Springs**, Eq. 8: ``u_i = gain * sum_j (r_ij - d*) e_ij`` over the Gabriel neighbours j among the robots detected
+    in robot i's own scan, with ``e_ij`` the unit vector towards j: a neighbour that is too far attracts. (As printed,
+    Eq. 8 has the opposite sign and repels it.)
+
+    **Triangulating**: ``TriangulatingLaw``, with its random push if the view carries one. It uses returns
+    within 2 d* and robots within the law's sight, whatever the range of the LiDAR.
+
+    Being told the footprint is an advantage over a learned policy, which has to do with any: it corrects the bias of
+    what is seen, the near side of each robot, and tells robots from walls.
     """
 
     privileged = False
@@ -74,33 +122,39 @@ class ScanPipeline:
         gain: float = 1.0,
         max_speed: float = 1.0,
         footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE,
+        law: Literal["springs", "triangulating"] = "springs",
     ) -> None:
         """Make a pipeline.
 
         Args:
             distance: Prescribed neighbour distance d* [m].
-            gain: Spring gain [1/s].
+            gain: Gain of the springs [1/s]; the triangulating law has its own.
             max_speed: Longer commands are scaled to this speed [m/s], keeping their direction.
             footprint: Length and width of the robots' box, or the diameter of a circle [m].
+            law: What to do about the robots detected.
 
         Raises:
-            ConfigurationError: If a value is not positive, or one other than ``max_speed`` not finite.
+            ConfigurationError: If a value is not positive, or one other than ``max_speed`` not finite, or there is no
+                such law.
         """
         require(0 < distance < np.inf, f"distance is {distance} m; it must be positive and finite")
         require(0 < gain < np.inf, f"gain is {gain} 1/s; it must be positive and finite")
         require(max_speed > 0, f"max_speed is {max_speed} m/s; it must be positive")
+        require(law in ("springs", "triangulating"), f"law is {law!r}; the laws are springs and triangulating")
         self._footprint = kernel_footprint(footprint)
-        self._law = (float(distance), float(gain), float(max_speed))
+        self._springs = (float(distance), float(gain), float(max_speed))
+        self._triangulating = TriangulatingLaw() if law == "triangulating" else None
 
     @property
     def description(self) -> dict[str, Any]:
         """Name and settings, plain JSON values."""
         half_length, half_width, round_ = self._footprint
-        distance, gain, max_speed = self._law
+        distance, gain, max_speed = self._springs
+        law = self._triangulating
         return {
-            "name": "scan-pipeline",
+            "name": "scan-pipeline" if law is None else "scan-triangulating",
             "distance": distance,
-            "gain": gain,
+            **({"gain": gain} if law is None else {"law": asdict(law)}),
             "max_speed": max_speed,
             "footprint": {"shape": "circle" if round_ else "box", "length": 2 * half_length, "width": 2 * half_width},
         }
@@ -110,13 +164,21 @@ class ScanPipeline:
         scan = view.scans
         ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
         active = view.active.reshape(-1)
-        directions, config = ray_directions(scan), scan.config
+        sight = (self._footprint, ray_directions(scan), scan.config.angle_min)
         out = np.empty((len(ranges), 3))
-        in_parts(
-            lambda first, last: _command_robots(
-                ranges, active, self._footprint, directions, config.angle_min, config.range_max, *self._law, out,
-                first, last,
-            ),
-            len(ranges), len(ranges), SCANS_PER_THREAD,
-        )  # fmt: skip
+        if self._triangulating is None:
+            seen = (ranges, active, *sight, scan.config.range_max)
+            in_parts(
+                lambda first, last: _command_robots(*seen, *self._springs, out, first, last),
+                len(ranges), len(ranges), SCANS_PER_THREAD,
+            )  # fmt: skip
+        else:
+            distance, _, max_speed = self._springs
+            law = self._triangulating.constants
+            push = np.zeros((len(ranges), 2)) if view.push is None else np.ascontiguousarray(view.push).reshape(-1, 2)
+            seen = (ranges, active, *sight, min(scan.config.range_max, SENSING_RANGE * distance))
+            in_parts(
+                lambda first, last: _triangulate_robots(*seen, distance, law, max_speed, push, out, first, last),
+                len(ranges), len(ranges), SCANS_PER_THREAD,
+            )  # fmt: skip
         return out.reshape(*view.active.shape, 3)

@@ -6,11 +6,14 @@ from triform.dataset.collect import Progress, collect
 from triform.dataset.configuration import PAPER, PRESETS, QUICK, CollectionConfig
 from triform.dataset.fresh import FreshBatch, StateConfig, draw_fresh
 from triform.dataset.manifest import MANIFEST, Manifest, Shard, load_manifest
-from triform.dataset.neighbours import neighbours
+from triform.dataset.neighbours import COLUMNS, neighbours
 from triform.dataset.reader import Demonstrations, Split
 from triform.dataset.records import Records
+from triform.dataset.scenes import SceneConfig, Views, draw_views
+from triform.dataset.visited import VisitedStates, joined
 
 __all__ = [
+    "COLUMNS",
     "MANIFEST",
     "PAPER",
     "PRESETS",
@@ -21,11 +24,16 @@ __all__ = [
     "Manifest",
     "Progress",
     "Records",
+    "SceneConfig",
     "Shard",
     "Split",
     "StateConfig",
+    "Views",
+    "VisitedStates",
     "collect",
     "draw_fresh",
+    "draw_views",
+    "joined",
     "load_manifest",
     "neighbours",
 ]

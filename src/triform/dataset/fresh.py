@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from triform.control import Teacher, expert_into
-from triform.dataset.neighbours import neighbours_into
+from triform.dataset.neighbours import COLUMNS, neighbours_into
 from triform.perception import map_room, occupied_into
 from triform.simulation import linked
 from triform.simulation.lidar import cast_world, scan_rays
@@ -83,8 +83,7 @@ class FreshBatch:
     Attributes:
         maps: Occupancy maps, uint8, shape (M, H, W).
         commands: The teacher's body twists [m/s, m/s, rad/s], shape (M, 3).
-        neighbours: The other robots in the body frame (x [m], y [m], 1 if a Gabriel neighbour in the teacher's sight),
-            shape (M, N - 1, 3).
+        neighbours: The other robots in the body frame, see ``neighbours_into``, shape (M, N - 1, COLUMNS).
     """
 
     maps: MapArray
@@ -159,6 +158,7 @@ def _draw_records(  # type: ignore[no-untyped-def]
     ranges = np.empty((robots, cos_rays.shape[0]))
     axes = np.empty((robots, 2))
     grid, scratch, cells = map_room(size)
+    at_rest = np.zeros(3)
     walls = np.empty((0, 4))
     pillars = np.empty((0, 3))
     for e in range(records):
@@ -182,11 +182,11 @@ def _draw_records(  # type: ignore[no-untyped-def]
         cast_world(poses, active, body, walls, pillars, scan, axes, ranges)
         for i in range(robots):
             kept = occupied_into(
-                ranges[i], cos_rays, sin_rays, range_max, cell, min_cells, max_cells, grid, scratch, cells
+                ranges[i], at_rest, cos_rays, sin_rays, range_max, cell, min_cells, max_cells, grid, scratch, cells
             )
             for q in range(kept):
                 maps[e, i, cells[q] // size, cells[q] % size] = 1
-        neighbours_into(poses, graph, neighbours[e])
+        neighbours_into(poses, graph, distance, odd_gain, neighbours[e])
     return True
 
 
@@ -218,7 +218,7 @@ def draw_fresh(
     size = map_config.size
     batch_maps = np.zeros((records, robots, size, size), dtype=np.uint8)
     commands = np.empty((records, robots, 3))
-    neighbours = np.empty((records, robots, robots - 1, 3))
+    neighbours = np.empty((records, robots, robots - 1, COLUMNS))
     placed = _draw_records(
         rng,
         states.side,
@@ -252,5 +252,5 @@ def draw_fresh(
     return FreshBatch(
         batch_maps.reshape(-1, size, size),
         commands.reshape(-1, 3),
-        neighbours.reshape(records * robots, robots - 1, 3),
+        neighbours.reshape(records * robots, robots - 1, COLUMNS),
     )

@@ -36,12 +36,15 @@ def _sense_into(  # type: ignore[no-untyped-def]
     active = np.ones(robots, dtype=np.bool_)
     ranges = np.empty((robots, rays))
     grid, scratch, found = map_room(size)
+    at_rest = np.zeros(3)
     filled = 0
     offsets[0] = 0
     for b in range(poses.shape[0]):
         cast_world(poses[b], active, body, walls, pillars, scan, axes, ranges)
         for i in range(robots):
-            count = occupied_into(ranges[i], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, found)
+            count = occupied_into(
+                ranges[i], at_rest, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, found
+            )
             found[:count].sort()
             for k in range(count):
                 cells[filled + k] = found[k]

@@ -1,6 +1,6 @@
 """Rollouts, measures, tables and figures.
 
-The modules that draw (``figures``, ``animation``, ``reproduce``, ``demo``) need matplotlib and are imported
+The modules that draw (``figures``, ``animation``, ``reproduce``, ``sweep``, ``demo``) need matplotlib and are imported
 by their own names, so that evaluating needs none of it.
 """
 

@@ -29,7 +29,7 @@ from triform.evaluation.style import (
     robot_colours,
 )
 from triform.geometry import edge_error, gabriel_graph
-from triform.types import SENSING_RANGE, FloatArray
+from triform.types import FloatArray
 
 _PIXELS = 520
 #: A GIF has 256 colours: greys, and tints for so many robots.
@@ -101,7 +101,7 @@ class _Drawing:
         positions, active = trajectory.positions[0], trajectory.active[0]
         self.error = edge_error(positions, scene.distance, np.inf, active)
         self.graphs = gabriel_graph(positions, np.inf, active)
-        self.sensed = gabriel_graph(positions, SENSING_RANGE, active)
+        self.sensed = gabriel_graph(positions, scene.sensing_range, active)
         self.axes = figure.add_axes((0.085, 0.075, 0.895, 0.865))
         draw_arena(self.axes, scene.arena)
         frame(self.axes, positions, scene.arena)

@@ -15,8 +15,7 @@ from triform.evaluation.metrics import summarise
 from triform.evaluation.output import prepare_folder, write_json
 from triform.evaluation.scenario import Scenario, world_seeds
 from triform.evaluation.style import save_figure
-from triform.evaluation.tables import progress_bar, rich_table, summary_rows
-from triform.simulation import starts
+from triform.evaluation.tables import WIDE, progress_bar, rich_table, summary_rows
 from triform.threads import limit_threads
 from triform.types import require
 
@@ -60,7 +59,7 @@ def run_demo(config: DemoConfig, console: Console) -> list[Path]:
     prepare_folder(config.output)
     controller = config.make_controller()
     began = time.perf_counter()
-    poses = starts(config.robots, 1, config.seed, first=config.index)
+    poses = config.draw_starts(config.robots, 1, config.seed, first=config.index)
     seeds = world_seeds(config.robots, config.seed, [config.index])
     bar = progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps)
     with limit_threads(config.threads), bar as advance:
@@ -69,7 +68,7 @@ def run_demo(config: DemoConfig, console: Console) -> list[Path]:
     result = {"robots": config.robots, **summarise(table)}
     took = time.perf_counter() - began
     title = f"{config.controller}: {config.duration:g} s simulated in {took:.1f} s"
-    console.print(rich_table(title, *summary_rows([result])))
+    console.print(rich_table(title, *summary_rows([result], WIDE)))
 
     scene = Scene(config.robot.footprint, config.surroundings, config.distance)
     with console.status("drawing"):

@@ -15,13 +15,20 @@ from rich.console import Console
 from triform.engines import Engine, Report
 from triform.evaluation.bulk import PortableController, by_group
 from triform.evaluation.evaluate import describe
-from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure, select, summarise
+from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure, quantile, select, summarise
 from triform.evaluation.output import prepare_file, write_json
 from triform.evaluation.placement import sample_clear_addition
 from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.scenario import BulkScenario, chunks, world_seeds
-from triform.evaluation.tables import format_value, progress_bar, require_parquet, rich_table, write_parquet
-from triform.simulation import World, starts
+from triform.evaluation.tables import (
+    drop_columns,
+    format_value,
+    progress_bar,
+    require_parquet,
+    rich_table,
+    write_parquet,
+)
+from triform.simulation import World
 from triform.threads import limit_threads
 from triform.types import Controller, IntArray, PrivilegedView, require
 
@@ -30,6 +37,9 @@ CHANGES: tuple[Change, ...] = ("addition", "removal")
 
 #: When the paper's team changes [s].
 CHANGE_TIME = 21.0
+
+#: The column that a terminal has no room for.
+_UNSHOWN = ("sensed",)
 
 #: Keeps the random streams of worlds and of changes apart from those of ``triform evaluate``.
 _WORLD_STREAM, _CHANGE_STREAM = 2, 3
@@ -107,8 +117,8 @@ def run_changes(
 ) -> tuple[Trajectory, RunTable]:
     """Run teams in which one robot comes or goes at ``change_time``, all at once.
 
-    A robot that comes appears anywhere at least 0.5 m from everybody and within 2 m of somebody, clear of walls and
-    pillars and in the same room; the one that goes is any, with equal probability.
+    A robot that comes appears anywhere at least 0.5 d* (and 0.5 m) from everybody and within 2 d* of somebody, clear of
+    walls and pillars and in the same room; the one that goes is any, with equal probability.
 
     Args:
         config: What to run.
@@ -124,11 +134,12 @@ def run_changes(
         TriformError: The arena has no place for a start or for a robot that joins.
     """
     indices = range(runs.first, runs.first + runs.count)
-    poses = starts(config.robots, runs.count, config.seed, first=runs.first)
+    poses = config.draw_starts(config.robots, runs.count, config.seed, first=runs.first)
     world = config.make_world(poses, world_seeds(config.robots, config.seed, indices, _WORLD_STREAM))
     step = None if on_step is None else partial(on_step, runs.count * config.robots)
     before = rollout(world, controller, config.change_time, step)
-    changed = change_teams(world, runs.change, world_seeds(config.robots, config.seed, indices, _CHANGE_STREAM))
+    draws = world_seeds(config.robots, config.seed, indices, _CHANGE_STREAM)
+    changed = change_teams(world, runs.change, draws, config.distance)
     after = rollout(world, controller, config.duration - config.change_time, step)
     table = _measure_change(config, before, after, world) | {"changed_robot": changed}
     table |= {"run": np.array(indices), "change": np.array([runs.change] * runs.count)}
@@ -156,7 +167,7 @@ def measure_changes(
         TriformError: The arena has no place for a start or for a robot that joins; starts are checked before the
             first run.
     """
-    config.check_starts(starts(config.robots, config.runs, config.seed))
+    config.check_starts(config.draw_starts(config.robots, config.runs, config.seed))
     parts = chunks(config.runs, config.robots)
     groups = [[ChangedRuns(change, part.start, part.stop - part.start) for part in parts] for change in CHANGES]
     task = MeasureChanges(config, PortableController(config, controller))
@@ -164,13 +175,13 @@ def measure_changes(
         yield CHANGES[number], concatenate(tables)
 
 
-def change_teams(world: World, change: Change, draws: list[np.random.SeedSequence]) -> IntArray:
-    """Add a robot to, or remove one from, every world, and return which, shape (B,)."""
+def change_teams(world: World, change: Change, draws: list[np.random.SeedSequence], distance: float = 1.0) -> IntArray:
+    """Add a robot to, or remove one from, every world with the prescribed ``distance``; return which, shape (B,)."""
     changed = np.empty(len(draws), dtype=np.int64)
     for index, draw in enumerate(draws):
         rng = np.random.default_rng(draw)
         if change == "addition":
-            changed[index] = world.add_robot(index, sample_clear_addition(world, index, rng))
+            changed[index] = world.add_robot(index, sample_clear_addition(world, index, rng, distance))
         else:
             changed[index] = rng.choice(np.flatnonzero(world.active[index]))
             world.remove_robot(index, int(changed[index]))
@@ -183,7 +194,9 @@ def _measure_change(config: DynamicConfig, before: Trajectory, after: Trajectory
     return later | {
         "robots_before": earlier["robots"],
         "formed_before": earlier["success"],
+        "strict_before": earlier["strict"],
         "recovery_time": later["converge_time"] - config.change_time,
+        "strict_recovery_time": later["strict_time"] - config.change_time,
     }
 
 
@@ -192,7 +205,8 @@ def summarise_changes(table: RunTable) -> dict[str, Any]:
 
     ``recovered`` is the share of runs whose 5 s mean of the formation error is back below 10 % and stays there
     to the end; ``recovered_connected`` is the same share among the runs in which the pairs within sensing range
-    still connect everybody right after the change: the others are teams that cannot know of each other.
+    still connect everybody right after the change: the others are teams that cannot know of each other. ``strict`` and
+    ``strict_connected`` say the same of runs that end in a triangulation.
 
     Args:
         table: What ``run_changes`` returned.
@@ -202,7 +216,6 @@ def summarise_changes(table: RunTable) -> dict[str, Any]:
     """
     connected = table["connected_start"].astype(np.bool_)
     whole, together = summarise(table), summarise(select(table, connected))
-    times = table["recovery_time"][np.isfinite(table["recovery_time"])]
     return {
         "change": str(table["change"][0]),
         "robots_before": int(table["robots_before"][0]),
@@ -213,7 +226,13 @@ def summarise_changes(table: RunTable) -> dict[str, Any]:
         "recovered_sensed": whole["success_sensed"],
         "connected": float(connected.mean()),
         "recovered_connected": together["success"],
-        "recovery_time_median": float(np.median(times)) if len(times) else np.nan,
+        "recovery_time_median": quantile(table["recovery_time"], 0.5),
+        "strict_before": float(table["strict_before"].mean()),
+        "strict": whole["strict"],
+        "strict_connected": together["strict"],
+        "strict_recovery_time_median": quantile(table["strict_recovery_time"], 0.5),
+        "strict_hold_mean": whole["strict_hold_mean"],
+        "settled_speed_median": whole["settled_speed_median"],
         "formation_error_median": whole["formation_error_median"],
         "min_distance": whole["min_distance"],
         "collision": whole["collision"],
@@ -262,7 +281,8 @@ def run_dynamic(config: DynamicConfig, console: Console) -> dict[str, Any]:
                 write_parquet(config.parquet, concatenate(tables))
             if not console.is_terminal:
                 console.print(f"done after {result['wall_seconds']:.1f} s: every {change}", soft_wrap=True)
-    console.print(rich_table(f"dynamic team, {config.controller}", *change_rows(result["results"])))
+    shown = drop_columns(*change_rows(result["results"]), _UNSHOWN)
+    console.print(rich_table(f"dynamic team, {config.controller}", *shown))
     for path in (config.json, config.parquet):
         if path is not None:
             console.print(f"wrote {path}", soft_wrap=True)
@@ -278,6 +298,7 @@ def change_rows(summaries: list[dict[str, Any]]) -> tuple[list[str], list[list[s
         ("linked", "connected", "%"),
         ("back if linked", "recovered_connected", "%"),
         ("sensed", "recovered_sensed", "%"),
+        ("strict", "strict", "%"),
         ("recovery time", "recovery_time_median", "s"),
         ("median error", "formation_error_median", "%%"),
         ("closest", "min_distance", "m"),

@@ -18,8 +18,8 @@ from triform.evaluation.bulk import Chunk, MeasureRuns, PortableController, meas
 from triform.evaluation.metrics import RunTable, concatenate, select, summarise
 from triform.evaluation.output import prepare_file, write_json
 from triform.evaluation.scenario import BulkScenario, Scenario
-from triform.evaluation.tables import progress_bar, require_parquet, rich_table, summary_rows, write_parquet
-from triform.simulation import load_starts, starts
+from triform.evaluation.tables import WIDE, progress_bar, require_parquet, rich_table, summary_rows, write_parquet
+from triform.simulation import load_starts
 from triform.threads import limit_threads
 from triform.types import Controller, PrivilegedView, require
 
@@ -161,7 +161,7 @@ def start_groups(config: EvaluateConfig) -> list[Chunk]:
     """
     if config.starts is None:
         indices = np.arange(config.runs)
-        return [Chunk(indices, starts(robots, config.runs, config.seed)) for robots in config.robots]
+        return [Chunk(indices, config.draw_starts(robots, config.runs, config.seed)) for robots in config.robots]
     given = load_starts(config.starts)
     sizes = np.array([len(poses) for poses in given])
     groups = []
@@ -225,7 +225,7 @@ def run_evaluation(config: EvaluateConfig, console: Console) -> Evaluation:
 def print_evaluation(evaluation: Evaluation, console: Console) -> None:
     """Print the table of measures, and that of disconnected starts if there are any."""
     name = evaluation.config["controller"]
-    console.print(rich_table(f"{name}, {evaluation.wall_seconds:.1f} s", *summary_rows(evaluation.results)))
+    console.print(rich_table(f"{name}, {evaluation.wall_seconds:.1f} s", *summary_rows(evaluation.results, WIDE)))
     if evaluation.disconnected_starts:
-        rows = summary_rows(evaluation.disconnected_starts)
+        rows = summary_rows(evaluation.disconnected_starts, WIDE)
         console.print(rich_table(f"{name}, starts whose sensing graph is not connected", *rows))

@@ -52,19 +52,22 @@ class Scene:
     arena: Arena
     distance: float = 1.0
 
+    @property
+    def sensing_range(self) -> float:
+        """How far one robot sees another, 2 d* [m]."""
+        return SENSING_RANGE * self.distance
+
 
 def present(trajectory: Trajectory, record: int) -> IntArray:
     """Return which robots of a single run exist at a record."""
     return np.flatnonzero(trajectory.active[0, record])
 
 
-def draw_formation(
-    axes: Axes, poses: FloatArray, scene: Scene, colours: Sequence[Any], sensing_range: float = SENSING_RANGE
-) -> None:
+def draw_formation(axes: Axes, poses: FloatArray, scene: Scene, colours: Sequence[Any]) -> None:
     """Draw robots at ``poses`` (N, 3) with their Gabriel graph; edges out of sensing range are dashed."""
     positions = poses[:, :2]
     full = gabriel_graph(positions)
-    sensed = gabriel_graph(positions, sensing_range)
+    sensed = gabriel_graph(positions, scene.sensing_range)
     draw_edges(axes, positions, sensed)
     draw_edges(axes, positions, full & ~sensed, colors=GREY, linestyles=(0, (3, 3)))
     draw_robots(axes, poses, scene.footprint, colours)
@@ -104,7 +107,7 @@ def draw_distances(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
     lengths = np.linalg.norm(positions[:, first] - positions[:, second], axis=-1)
     _draw_target(axes, scene.distance)
     for length in lengths.T:
-        sensed = length[-1] <= SENSING_RANGE
+        sensed = length[-1] <= scene.sensing_range
         axes.plot(
             trajectory.time,
             length,

@@ -13,6 +13,8 @@ from triform.types import SENSING_RANGE, BoolArray, FloatArray, require
 
 #: Errors are averaged over this long [s]; so no run counts as converged before it.
 WINDOW = 5.0
+#: Whether a formation is strict is looked at this often [s], and at the end.
+STRICT_PERIOD = 0.5
 #: A formation is right while its mean relative edge error is below this.
 TOLERANCE = 0.1
 
@@ -67,10 +69,43 @@ def converge_time(series: FloatArray, time: FloatArray, tolerance: float = TOLER
     return np.where(below[..., -1], time[first], np.nan)
 
 
+def settle(trajectory: Trajectory, distance: float = 1.0) -> RunTable:
+    """Measure since when every run is a triangulation for good, and how still its robots then are.
+
+    Whether a formation is strict is looked at every 0.5 s, counted back from the end. Speeds are those between
+    records: the way from one to the next over the time that it took.
+
+    Args:
+        trajectory: B runs of at least 5 s.
+        distance: Prescribed neighbour distance d* [m].
+
+    Returns:
+        ``strict_time``, the first time from which a run is strict whenever looked at to the end [s]; ``strict_hold``,
+        the share of the last 5 s in which it is strict; ``settled_speed``, the median over robots and over the records
+        of the last 5 s that follow ``strict_time`` [m/s]. Times and speeds are ``NaN`` for runs that do not end
+        strict, and the speed is too if a run is strict in its last record only.
+    """
+    positions, time, last = trajectory.positions, trajectory.time, len(trajectory.time) - 1
+    stride = max(1, round(STRICT_PERIOD / trajectory.period))
+    looked = np.arange(last % stride, last + 1, stride)
+    strict = assess(positions[:, looked], distance, np.inf, trajectory.active[:, looked]).strict
+    lasting = np.logical_and.accumulate(strict[:, ::-1], axis=1)[:, ::-1]
+    strict_time = np.where(lasting[:, -1], time[looked][np.argmax(lasting, axis=1)], np.nan)
+    latest = int(np.searchsorted(time, time[-1] - WINDOW - 1e-6))
+    ways = np.linalg.norm(np.diff(positions[:, latest:], axis=1), axis=-1)
+    speeds = ways / np.diff(time[latest:])[:, None]
+    settled = [time[latest:-1] >= since - 1e-6 for since in strict_time]
+    return {
+        "strict_time": strict_time,
+        "strict_hold": strict[:, time[looked] > time[-1] - WINDOW + 1e-6].mean(axis=1),
+        "settled_speed": np.array([quantile(speeds[run, since], 0.5) for run, since in enumerate(settled)]),
+    }
+
+
 def measure(
     trajectory: Trajectory,
     distance: float = 1.0,
-    sensing_range: float = SENSING_RANGE,
+    sensing_range: float | None = None,
     min_distance: FloatArray | None = None,
     collision: BoolArray | None = None,
     hit_arena: BoolArray | None = None,
@@ -84,7 +119,7 @@ def measure(
     Args:
         trajectory: B runs of at least 5 s.
         distance: Prescribed neighbour distance d* [m].
-        sensing_range: How far a robot senses [m].
+        sensing_range: How far a robot senses [m]; 2 d* if omitted.
         min_distance: Smallest distance between two robots [m], shape (B,), where the team keeps watch between
             records; by default the smallest one recorded, infinite where there are not two robots.
         collision: Whether two footprints ever overlapped, shape (B,), where the team knows; no by default.
@@ -98,6 +133,8 @@ def measure(
         ConfigurationError: The trajectory is shorter than 5 s, or ``distance`` is not positive.
     """
     positions, active, time = trajectory.positions, trajectory.active, trajectory.time
+    if sensing_range is None:
+        sensing_range = SENSING_RANGE * distance
     full = edge_error(positions, distance, np.inf, active)
     sensed = edge_error(positions, distance, sensing_range, active)
     formation_error = trailing_mean(full, time)[..., -1]
@@ -114,6 +151,7 @@ def measure(
         "success_sensed": formation_error_sensed < TOLERANCE,
         "converge_time": converge_time(full, time),
         "strict": end.strict,
+        **settle(trajectory, distance),
         "compactness": end.compactness,
         "edges": end.edges,
         "connected_start": start.connected,
@@ -147,15 +185,29 @@ def summarise(table: RunTable) -> dict[str, Any]:
         "success": _mean(table["success"]),
         "success_sensed": _mean(table["success_sensed"]),
         "strict": _mean(table["strict"]),
-        "formation_error_median": _quantile(error, 0.5),
-        "formation_error_p95": _quantile(error, 0.95),
-        "converge_time_median": _quantile(time, 0.5),
+        "strict_time_median": quantile(table["strict_time"], 0.5),
+        "strict_hold_mean": _mean(table["strict_hold"]),
+        "settled_speed_median": quantile(table["settled_speed"], 0.5),
+        "formation_error_median": quantile(error, 0.5),
+        "formation_error_p95": quantile(error, 0.95),
+        "converge_time_median": quantile(time, 0.5),
         "compactness_mean": _mean(table["compactness"]),
         "connected_end": _mean(table["connected_end"]),
         "min_distance": float(np.min(table["min_distance"], initial=np.inf)),
         "collision": _mean(table["collision"]),
         "hit_arena": _mean(table["hit_arena"]),
     }
+
+
+def wilson_interval(count: int, total: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a rate of which ``count`` of ``total`` were observed; NaN without any."""
+    if total == 0:
+        return np.nan, np.nan
+    z_squared = 1.959963984540054**2
+    share, spread = count / total, z_squared / total
+    middle = (share + spread / 2) / (1 + spread)
+    half = np.sqrt(spread * (share * (1 - share) + spread / 4)) / (1 + spread)
+    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
 
 
 def select(table: RunTable, rows: BoolArray) -> RunTable:
@@ -177,6 +229,7 @@ def _mean(values: NDArray[Any]) -> float:
     return float(defined.mean()) if len(defined) else np.nan
 
 
-def _quantile(values: NDArray[Any], share: float) -> float:
+def quantile(values: NDArray[Any], share: float) -> float:
+    """Return the quantile ``share`` of the values that are defined; ``NaN`` if none is."""
     defined = _defined(values)
     return float(np.quantile(defined, share)) if len(defined) else np.nan

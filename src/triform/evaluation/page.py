@@ -5,10 +5,13 @@ from __future__ import annotations
 import base64
 import html
 import json
+import shlex
+from collections.abc import Collection
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from triform.evaluation.output import write_text
+from triform.evaluation.scenario import Scenario
 from triform.evaluation.tables import markdown_table
 from triform.types import TriformError
 
@@ -42,6 +45,24 @@ class Section:
         return asdict(self)
 
 
+def spell_command(words: list[str], config: Scenario, always: Collection[str], never: Collection[str]) -> str:
+    """Return a command that runs ``config`` again.
+
+    Args:
+        words: How the command begins.
+        config: Its options.
+        always: Options that are said even where they are the defaults.
+        never: Options that are left out, because they do not matter.
+    """
+    spelled = list(words)
+    for option in fields(config):
+        value = getattr(config, option.name)
+        if option.name not in never and (option.name in always or value != option.default):
+            spelled.append(f"--{option.name.replace('_', '-')}")
+            spelled += map(str, value) if isinstance(value, tuple) else [str(value)]
+    return shlex.join(spelled)
+
+
 def read_sections(folder: Path, keys: list[str]) -> list[Section]:
     """Return the sections whose results are in ``folder``, in the order of ``keys``.
 
@@ -63,11 +84,11 @@ def read_sections(folder: Path, keys: list[str]) -> list[Section]:
     return sections
 
 
-def write_pages(folder: Path, title: str, sections: list[Section]) -> list[Path]:
-    """Write ``index.md`` and ``index.html`` over ``sections`` into ``folder`` and return their paths."""
+def write_pages(folder: Path, title: str, sections: list[Section], name: str = "index") -> list[Path]:
+    """Write ``name``.md and ``name``.html over ``sections`` into ``folder`` and return their paths."""
     return [
-        write_text(folder / "index.md", _markdown(title, sections)),
-        write_text(folder / "index.html", _html(folder, title, sections)),
+        write_text(folder / f"{name}.md", _markdown(title, sections)),
+        write_text(folder / f"{name}.html", _html(folder, title, sections)),
     ]
 
 

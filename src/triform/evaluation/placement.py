@@ -44,16 +44,17 @@ def blocked_starts(world: World) -> BoolArray:
     return np.asarray(world.hit_arena | separated, dtype=np.bool_)
 
 
-def sample_clear_addition(world: World, index: int, rng: np.random.Generator) -> FloatArray:
+def sample_clear_addition(world: World, index: int, rng: np.random.Generator, distance: float = 1.0) -> FloatArray:
     """Return a pose for a robot that joins world ``index``, clear of walls and pillars.
 
     Poses of ``sample_addition`` are drawn until the arena does not overlap the footprint and no wall stands between
-    the newcomer and at least one robot within 2 m, so that it is in the same room.
+    the newcomer and at least one robot within 2 d*, so that it is in the same room.
 
     Args:
         world: Worlds with their arena and kind of robots.
         index: Which of them.
         rng: Source of randomness.
+        distance: Prescribed neighbour distance d* [m].
 
     Returns:
         Pose, shape (3,).
@@ -64,8 +65,8 @@ def sample_clear_addition(world: World, index: int, rng: np.random.Generator) ->
     poses, active = world.poses[index], world.active[index]
     others = poses[active, :2]
     for _ in range(_DRAWS):
-        pose = sample_addition(poses, active, rng)
-        near = others[np.linalg.norm(others - pose[:2], axis=-1) <= SENSING_RANGE]
+        pose = sample_addition(poses, active, rng, distance)
+        near = others[np.linalg.norm(others - pose[:2], axis=-1) <= SENSING_RANGE * distance]
         reachable = not walled_off(pose[:2], near, world.arena).all()
         if reachable and not World(pose[None, None], world.profile, world.arena, [0]).hit_arena[0]:
             return pose

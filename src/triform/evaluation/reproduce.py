@@ -38,7 +38,9 @@ from triform.evaluation.scenario import Scenario, world_seeds
 from triform.evaluation.style import save_figure
 from triform.evaluation.tables import (
     LEGEND,
+    WIDE,
     Advance,
+    drop_columns,
     format_value,
     progress_bar,
     require_parquet,
@@ -46,7 +48,6 @@ from triform.evaluation.tables import (
     summary_rows,
     write_parquet,
 )
-from triform.simulation import starts
 from triform.threads import limit_threads
 from triform.types import Controller, PrivilegedView
 
@@ -84,7 +85,7 @@ def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
                 pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
             # Controllers have been shown one by one; together they are too wide for many terminals.
             if section.key != "comparison":
-                console.print(rich_table(section.title, section.headings, section.rows))
+                console.print(rich_table(section.title, *drop_columns(section.headings, section.rows, WIDE)))
             for name in [section.image, *section.files]:
                 if name:
                     console.print(f"wrote {config.output / name}", soft_wrap=True)
@@ -169,7 +170,7 @@ class _Reproduction:
             f"{self.config.runs} random starts per team size, {self.config.duration:g} s each, controller "
             f"{self.config.controller}. The paper gives one range of median errors and one converge time "
             "for all sizes. Row 4* sets the simulated hardware profile beside the paper's runs of "
-            "four real robots. Errors and converge times are medians. Sensed counts only pairs within 2 m; strict is "
+            "four real robots. Errors and converge times are medians. Sensed counts only pairs within 2 d*; strict is "
             "the share of runs that end in a true triangulation; the paper reports neither.",
             (headings, rows),
         )
@@ -251,9 +252,9 @@ class _Reproduction:
             f"Above is {which_above}; below is {which_below}. The table is "
             f"over {self.config.runs} random additions and as many removals to teams of 7. Back: the mean error of "
             f"{WINDOW:g} s is below {100 * TOLERANCE:g} % again within {self.config.duration - CHANGE_TIME:g} s and "
-            "stays there; linked: right after the change the pairs within 2 m still connect everybody; sensed: back, "
-            f"over pairs within 2 m; recovery time: median, at least {WINDOW:g} s as it is the time of a mean over "
-            f"{WINDOW:g} s.",
+            "stays there; linked: right after the change the pairs within 2 d* still connect everybody; sensed: back, "
+            "over pairs within 2 d*; strict: the run ends in a true triangulation; recovery time: median, at least "
+            f"{WINDOW:g} s as it is the time of a mean over {WINDOW:g} s.",
             change_rows(summaries),
             image="fig5.png",
         )
@@ -268,7 +269,7 @@ class _Reproduction:
             evaluation = self._evaluate(contestant, f"{label} ({number} of {number - 1 + len(compared.waiting)})")
             compared.finish(evaluation)
             title = f"{label}, {evaluation.wall_seconds:.1f} s"
-            self.console.print(rich_table(title, *summary_rows(evaluation.results)))
+            self.console.print(rich_table(title, *summary_rows(evaluation.results, WIDE)))
             save_figure(comparison_figure(compared.results), folder / "comparison.png")
             write_parquet(folder / "comparison.parquet", compared.runs)
             section = self._section(
@@ -300,7 +301,7 @@ class _Reproduction:
         return kind(**(shared | changes))
 
     def _first_run(self, robots: int, advance: Advance) -> tuple[Trajectory, RunTable]:
-        poses = starts(robots, 1, self.config.seed)
+        poses = self.config.draw_starts(robots, 1, self.config.seed)
         seeds = world_seeds(robots, self.config.seed, [0])
         trajectory, world = self.config.run(poses, seeds, self.controller, partial(advance, robots))
         return trajectory, self.config.measure(trajectory, world)
@@ -308,7 +309,7 @@ class _Reproduction:
     def _hardware_like(self) -> dict[str, Any]:
         """Measure four robots with the hardware profile."""
         scenario = self._derive(Scenario, profile=REAL_PROFILE)
-        poses = starts(paper.REAL_ROBOTS, self.config.runs, self.config.seed)
+        poses = scenario.draw_starts(paper.REAL_ROBOTS, self.config.runs, self.config.seed)
         runs = Chunk(np.arange(self.config.runs), poses)
         task = MeasureRuns(scenario, self.config.seed, PortableController(scenario, self.controller))
         with self._progress("hardware profile", scenario.steps * poses.shape[0] * poses.shape[1]) as advance:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +10,7 @@ from triform.control import CONTROLLERS
 from triform.control.registry import DEFAULT_WEIGHTS
 from triform.evaluation.dynamic import CHANGE_TIME
 from triform.evaluation.metrics import WINDOW
+from triform.evaluation.page import spell_command
 from triform.evaluation.rollout import control_steps
 from triform.evaluation.scenario import BulkScenario
 from triform.simulation import get_profile
@@ -90,14 +90,7 @@ class ReproduceConfig(BulkScenario):
 
     def command(self, key: str) -> str:
         """Return the command that makes result ``key`` again: every option that matters to it and is no default."""
-        words = ["triform", "reproduce", key]
-        for option in fields(self):
-            value = getattr(self, option.name)
-            said = option.name in _ALWAYS_SAID or value != option.default
-            if said and option.name not in self._without_effect(key):
-                words.append(f"--{option.name}")
-                words += map(str, value) if isinstance(value, tuple) else [str(value)]
-        return shlex.join(words)
+        return spell_command(["triform", "reproduce", key], self, _ALWAYS_SAID, self._without_effect(key))
 
     def _without_effect(self, key: str) -> set[str]:
         nowhere = {"what", "engine", "ray_address"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -14,9 +14,10 @@ from triform.control import make_controller
 from triform.engines import Engine, EngineName, check_engine, open_engine
 from triform.evaluation.metrics import WINDOW, RunTable, measure
 from triform.evaluation.placement import blocked_starts
+from triform.evaluation.robot import LIDAR_REACH, Conditions
 from triform.evaluation.rollout import Trajectory, control_steps, rollout
-from triform.simulation import Arena, Profile, World, get_arena, get_profile
-from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, require
+from triform.simulation import Arena, Profile, World, get_arena, get_profile, starts
+from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, PrivilegedView, require
 
 #: Robots of one chunk of runs: enough that the fixed cost of a step is small, few enough that the last chunks of an
 #: evaluation keep every processor busy. The same on every machine, so that no result can depend on it.
@@ -29,13 +30,21 @@ class Scenario:
 
     Attributes:
         controller: Name of the controller, one of triform.control.CONTROLLERS: policy, expert, expert-sensed,
-            expert-odd or scan-pipeline.
+            expert-odd, triangulating or scan-pipeline.
         weights: Weights of the policy: a name of shipped ones or a checkpoint; the default ones if omitted.
         profile: Name of the robot profile: ideal or hardware.
         arena: Name of the arena: open, room-6 or pillars.
-        distance: Prescribed neighbour distance d* [m].
+        distance: Prescribed neighbour distance d* [m]. A robot sees as far as 2 d*, and starts grow with d*.
         duration: Length of every run [s].
         threads: Threads of the whole command; one for each processor if omitted.
+        range_noise: Standard deviation of measured ranges [m]; the profile's errors if omitted.
+        dropout: Share of rays that return nothing; the profile's if omitted.
+        scan_rate: LiDAR turns, and commands where the profile keeps both in step, per second [Hz]; the profile's if
+            omitted.
+        latency: Time from a finished scan until a command can use it [s]; the profile's if omitted.
+        speed_limit: Largest speed of the base [m/s]; the profile's if omitted.
+        footprint: Name of the robots' outline: ep, engineer, circle-5, circle-10, circle-15, circle-20 or box-30; the
+            profile's if omitted.
     """
 
     controller: str = "policy"
@@ -45,20 +54,37 @@ class Scenario:
     distance: float = 1.0
     duration: float = 40.0
     threads: int | None = None
+    range_noise: float | None = None
+    dropout: float | None = None
+    scan_rate: float | None = None
+    latency: float | None = None
+    speed_limit: float | None = None
+    footprint: str | None = None
 
     def __post_init__(self) -> None:
-        require(0 < self.distance < np.inf, f"distance is {self.distance} m; it must be positive and finite")
+        farthest = LIDAR_REACH / SENSING_RANGE
+        require(
+            0 < self.distance <= farthest,
+            f"distance is {self.distance} m; it must be positive and at most {farthest:g} m, because a robot uses 2 d* "
+            f"of the {LIDAR_REACH:g} m that a LiDAR reaches",
+        )
         require(
             WINDOW <= self.duration < np.inf,
             f"duration is {self.duration} s; a run is measured over its last {WINDOW:g} s, so it must be finite and at "
             "least that long",
         )
         require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        _ = self.conditions
+
+    @property
+    def conditions(self) -> Conditions:
+        """What replaces the profile's own values."""
+        return Conditions(**{field.name: getattr(self, field.name) for field in fields(Conditions)})
 
     @property
     def robot(self) -> Profile:
-        """The robot profile."""
-        return get_profile(self.profile)
+        """The robots as they are run: their profile under the scenario's conditions, seeing 2 d* far."""
+        return self.conditions.applied_to(get_profile(self.profile), self.distance)
 
     @property
     def surroundings(self) -> Arena:
@@ -77,6 +103,10 @@ class Scenario:
             TriformError: There is no such controller, or its weights cannot be used.
         """
         return make_controller(self.controller, distance=self.distance, weights=self.weights)
+
+    def draw_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
+        """Return random starts (runs, robots, 3) for the prescribed distance, as ``triform.simulation.starts``."""
+        return starts(robots, runs, seed, first, distance=self.distance)
 
     def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence], **options: Any) -> World:
         """Put robots at ``poses`` (B, N, 3) into B worlds with their own noise.

@@ -1,6 +1,7 @@
 """Algorithm 3: from one LiDAR scan to a binary occupancy map of the robots around.
 
-1. Project every return to the cell it lies in.
+1. Project every return to the cell it lies in. A robot that has moved since its scan knows so from its wheels; returns
+   are then drawn where they lie seen from where it is now.
 2. Smooth with a 3 x 3 Gaussian and set what is not zero to one. Every weight of the kernel is positive, so this is
    exactly a dilation by one cell in all eight directions, and it is computed as that.
 3. Drop 4-connected groups that are too large (walls) or too small (noise).
@@ -34,17 +35,19 @@ def map_room(size):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _dilate_returns(ranges, cos, sin, range_max, cell, size, grid, marked):  # type: ignore[no-untyped-def]
+def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked):  # type: ignore[no-untyped-def]
     """Mark the 3 x 3 cells around every return on the flat ``grid``; list them in ``marked``; return how many."""
     half = size * cell / 2
     stride = size + 2
     count = 0
+    turned_cos, turned_sin = np.cos(moved[2]), np.sin(moved[2])
     for k in range(ranges.shape[0]):
         distance = ranges[k]
         if not 0.0 < distance <= range_max:
             continue
-        row = int(np.floor((distance * cos[k] + half) / cell))
-        column = int(np.floor((distance * sin[k] + half) / cell))
+        x, y = distance * cos[k] - moved[0], distance * sin[k] - moved[1]
+        row = int(np.floor((turned_cos * x + turned_sin * y + half) / cell))
+        column = int(np.floor((turned_cos * y - turned_sin * x + half) / cell))
         if row < 0 or row >= size or column < 0 or column >= size:
             continue
         centre = (row + 1) * stride + column + 1
@@ -79,11 +82,12 @@ def _flood(grid, stride, start, queue):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def occupied_into(ranges, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells):  # type: ignore[no-untyped-def]
+def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells):  # type: ignore[no-untyped-def]
     """List the occupied cells of one scan's map.
 
     Args:
         ranges: Ranges [m], shape (R,); what is not in (0, range_max] is no return.
+        moved: Pose of the robot now in its body frame at the moment of the scan [m, m, rad], shape (3,).
         cos: Cosine of every ray's angle, shape (R,).
         sin: Sine of every ray's angle, shape (R,).
         range_max: Longest range [m].
@@ -102,7 +106,7 @@ def occupied_into(ranges, cos, sin, range_max, cell, min_cells, max_cells, grid,
     stride = size + 2
     flat = grid.reshape(stride * stride)
     marked, queue = scratch[0], scratch[1]
-    count = _dilate_returns(ranges, cos, sin, range_max, cell, size, flat, marked)
+    count = _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, flat, marked)
     kept = 0
     for m in range(count):
         if flat[marked[m]] & _CLOSED:
@@ -123,8 +127,9 @@ def occupied_into(ranges, cos, sin, range_max, cell, min_cells, max_cells, grid,
 def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, first, last, out):  # type: ignore[no-untyped-def]
     size = out.shape[1]
     grid, scratch, cells = map_room(size)
+    at_rest = np.zeros(3)
     for m in range(first, last):
-        kept = occupied_into(ranges[m], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells)
+        kept = occupied_into(ranges[m], at_rest, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells)
         for q in range(kept):
             out[m, cells[q] // size, cells[q] % size] = 1
 

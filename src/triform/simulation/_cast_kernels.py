@@ -116,6 +116,28 @@ def find_axes(poses: Any, axes: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
+def cast_robot(
+    i: int, poses: Any, active: Any, body: Any, walls: Any, pillars: Any, scan: Any, axes: Any, row: Any
+) -> None:
+    """Cast the instantaneous, noiseless scan of robot i into ``row``, shape (R,); arguments as ``cast_world``.
+
+    ``axes`` must be those of ``find_axes``.
+    """
+    half_length, half_width, is_circle = body
+    angle_min, range_min, range_max, cos_rays, sin_rays = scan
+    limit = (range_max + body_reach(body)) ** 2
+    row[:] = math.inf
+    for j in range(active.shape[0]):
+        if j != i and active[j]:
+            _see_robot(
+                i, j, poses, axes, half_length, half_width, is_circle, limit,
+                angle_min, range_min, range_max, cos_rays, sin_rays, row,
+            )  # fmt: skip
+    if walls.shape[0] + pillars.shape[0] > 0:
+        _see_arena(i, poses, axes, walls, pillars, angle_min, range_min, range_max, cos_rays, sin_rays, row)
+
+
+@njit(cache=True, nogil=True)
 def cast_world(poses: Any, active: Any, body: Any, walls: Any, pillars: Any, scan: Any, axes: Any, out: Any) -> None:
     """Cast the instantaneous, noiseless scans of one small team by looking at everybody; allocates nothing.
 
@@ -129,34 +151,12 @@ def cast_world(poses: Any, active: Any, body: Any, walls: Any, pillars: Any, sca
         axes: Room, shape (N, 2).
         out: Ranges, shape (N, R), overwritten [m]; ``+inf`` for inactive robots. Any floating type.
     """
-    half_length, half_width, is_circle = body
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
-    limit = (range_max + body_reach(body)) ** 2
     find_axes(poses, axes)
     for i in range(active.shape[0]):
-        row = out[i]
-        row[:] = math.inf
         if active[i]:
-            for j in range(active.shape[0]):
-                if j != i and active[j]:
-                    _see_robot(
-                        i,
-                        j,
-                        poses,
-                        axes,
-                        half_length,
-                        half_width,
-                        is_circle,
-                        limit,
-                        angle_min,
-                        range_min,
-                        range_max,
-                        cos_rays,
-                        sin_rays,
-                        row,
-                    )
-            if walls.shape[0] + pillars.shape[0] > 0:
-                _see_arena(i, poses, axes, walls, pillars, angle_min, range_min, range_max, cos_rays, sin_rays, row)
+            cast_robot(i, poses, active, body, walls, pillars, scan, axes, out[i])
+        else:
+            out[i] = math.inf
 
 
 @njit(cache=True, nogil=True)

@@ -11,12 +11,17 @@ import numpy as np
 from triform.simulation._spawn_kernels import first_valid, insert_in_turn, linked, linked_groups
 from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError, require
 
-#: Smallest distance between two centres at the start, and from a robot that joins to the others [m].
+#: Smallest distance between two centres at the start, and from a robot that joins to the others, at d* = 1 m [m].
+#: It grows with d*, and below 1 m it stays, so that no footprints overlap.
 SPACING = 0.5
 
+#: The square does not shrink with d* below this [m]: closer together, hardly any placement keeps the spacing.
+_SMALLEST_SCALE = 0.6
 #: Up to this many robots whole placements are drawn until one is valid, which is exactly uniform over the valid
 #: placements. Beyond, hardly any whole placement is valid (about 10 % at 13 robots, 0.01 % at 50).
 _WHOLE_PLACEMENTS = 20
+#: Nor is one if more pairs than this are expected to be too close: one in a thousand is at 7.
+_CLOSE_PAIRS = 7.0
 #: Up to this many robots all are placed again if the placement is not connected: one in 20 is at 1,000 robots, and
 #: hardly any beyond.
 _REDRAWN = 1000
@@ -25,29 +30,39 @@ _CANDIDATES = 64
 _COLUMNS = ("run", "robot", "x", "y", "heading")
 
 
-def square_side(robots: int) -> float:
-    """Return the side of the square in which ``robots`` robots start [m]."""
+def square_side(robots: int, distance: float = 1.0) -> float:
+    """Return the side of the square in which ``robots`` robots with the prescribed ``distance`` d* start [m]."""
+    scale = max(distance, _SMALLEST_SCALE)
     if robots == 4:
-        return 4.0
-    return 5.0 * math.sqrt(max(robots, 13) / 13)
+        return 4.0 * scale
+    return 5.0 * scale * math.sqrt(max(robots, 13) / 13)
 
 
-def _positions(robots: int, side: float, rng: np.random.Generator) -> FloatArray | None:
+def spacing_at(distance: float) -> float:
+    """Return how far apart two centres at least start, if the prescribed distance is ``distance`` d* [m]."""
+    return SPACING * max(distance, 1.0)
+
+
+def _positions(robots: int, side: float, distance: float, rng: np.random.Generator) -> FloatArray | None:
     """Draw one valid placement, shape (N, 2) [m]; ``None`` if none turned up."""
+    spacing, reach = spacing_at(distance), SENSING_RANGE * distance
+    close_pairs = robots * (robots - 1) / 2 * math.pi * (spacing / side) ** 2
     for _ in range(_ROUNDS):
-        if robots <= _WHOLE_PLACEMENTS:
+        if robots <= _WHOLE_PLACEMENTS and close_pairs <= _CLOSE_PAIRS:
             candidates = side * (rng.random((_CANDIDATES, robots, 2)) - 0.5)
-            index = first_valid(candidates, SPACING, SENSING_RANGE)
+            index = first_valid(candidates, spacing, reach)
             if index >= 0:
                 return np.array(candidates[index])
         else:
-            placed = _one_after_the_other(robots, side, rng)
-            if placed is not None and linked(placed, SENSING_RANGE):
+            placed = _one_after_the_other(robots, side, spacing, reach, rng)
+            if placed is not None and linked(placed, reach):
                 return placed
     return None
 
 
-def _one_after_the_other(robots: int, side: float, rng: np.random.Generator) -> FloatArray | None:
+def _one_after_the_other(
+    robots: int, side: float, spacing: float, reach: float, rng: np.random.Generator
+) -> FloatArray | None:
     """Draw a placement robot by robot, each uniform over what its predecessors leave free; ``None`` if it got stuck.
 
     In a large team there is always someone whom nobody happens to be near to. Who does not belong to the largest
@@ -55,66 +70,74 @@ def _one_after_the_other(robots: int, side: float, rng: np.random.Generator) -> 
     """
     placed = np.empty((robots, 2))
     candidates = side * (rng.random((4 * robots, 2)) - 0.5)
-    if insert_in_turn(candidates, SPACING, np.inf, side, np.arange(robots), placed) < robots:
+    if insert_in_turn(candidates, spacing, np.inf, side, np.arange(robots), placed) < robots:
         return None
     if robots > _REDRAWN:
-        groups = linked_groups(placed, SENSING_RANGE)
+        groups = linked_groups(placed, reach)
         missing = np.flatnonzero(groups != np.argmax(np.bincount(groups)))
         candidates = side * (rng.random((64 * len(missing), 2)) - 0.5)
-        if insert_in_turn(candidates, SPACING, SENSING_RANGE, side, missing, placed) < len(missing):
+        if insert_in_turn(candidates, spacing, reach, side, missing, placed) < len(missing):
             return None
     return placed
 
 
-def starts(robots: int, runs: int, seed: int, first: int = 0, side: float | None = None) -> FloatArray:
-    """Return random starts; a start is a function of ``(robots, seed, index)`` (and ``side``) alone.
+def starts(
+    robots: int, runs: int, seed: int, first: int = 0, side: float | None = None, distance: float = 1.0
+) -> FloatArray:
+    """Return random starts; a start is a function of ``(robots, seed, index)`` (``side`` and ``distance``) alone.
 
-    Positions are uniform in a square around the origin such that no two centres are closer than 0.5 m and the
-    pairs within 2 m connect everybody; headings are uniform. (Of more than 1,000 robots, which hardly ever are
-    connected by chance, the few who are not are placed again where they are.)
+    Positions are uniform in a square around the origin such that no two centres are closer than 0.5 d* (and 0.5 m,
+    for footprints do not shrink with d*) and the pairs within 2 d* connect everybody; headings are uniform. (Of more
+    than 1,000 robots, which hardly ever are connected by chance, the few who are not are placed again where they are.)
 
     Args:
         robots: Robots in each run.
         runs: How many starts.
         seed: Seed, not negative.
         first: Index of the first start, so that a set can be made in parts.
-        side: Side of the square [m]; by default 5 m (4 m for 4 robots, 5 sqrt(N / 13) m beyond 13).
+        side: Side of the square [m]; by default 5 d* (4 d* for 4 robots, 5 d* sqrt(N / 13) beyond 13), and below
+            d* = 0.6 m that of 0.6 m.
+        distance: Prescribed neighbour distance d* [m].
 
     Returns:
         Poses (x, y, heading), shape (runs, robots, 3) [m, m, rad].
 
     Raises:
-        ConfigurationError: If a count or the seed is negative, or there is no robot.
+        ConfigurationError: If a count or the seed is negative, there is no robot, or a length is not positive.
         TriformError: If no valid start turns up because the square is too small or too large.
     """
     require(robots >= 1, f"{robots} robots asked for; at least 1 is needed")
     require(runs >= 0 and seed >= 0 and first >= 0, f"runs {runs}, seed {seed} or first {first} is negative")
     require(side is None or 0 < side < math.inf, f"side is {side} m; it must be positive and finite")
-    width = square_side(robots) if side is None else side
+    require(0 < distance < math.inf, f"distance is {distance} m; it must be positive and finite")
+    width = square_side(robots, distance) if side is None else side
     poses = np.empty((runs, robots, 3))
     for run in range(runs):
         rng = np.random.default_rng(np.random.SeedSequence([robots, seed, first + run]))
-        positions = _positions(robots, width, rng)
+        positions = _positions(robots, width, distance, rng)
         if positions is None:
             raise TriformError(
                 f"no start of {robots} robots found in a square of {width:.2f} m with centres at least "
-                f"{SPACING} m apart and everybody linked within {SENSING_RANGE} m"
+                f"{spacing_at(distance):g} m apart and everybody linked within {SENSING_RANGE * distance:g} m"
             )
         poses[run, :, :2] = positions
         poses[run, :, 2] = rng.uniform(-np.pi, np.pi, robots)
     return poses
 
 
-def sample_addition(poses: FloatArray, active: BoolArray, rng: np.random.Generator) -> FloatArray:
+def sample_addition(
+    poses: FloatArray, active: BoolArray, rng: np.random.Generator, distance: float = 1.0
+) -> FloatArray:
     """Return a pose for a robot that joins one world.
 
-    The place is uniform over the points at least 0.5 m from every robot and within 2 m of at least one; the
-    heading is uniform.
+    The place is uniform over the points at least 0.5 d* (and 0.5 m) from every robot and within 2 d* of at least one;
+    the heading is uniform.
 
     Args:
         poses: Poses in the world frame, shape (N, 3) [m, m, rad].
         active: Which robots exist, shape (N,).
         rng: Source of randomness.
+        distance: Prescribed neighbour distance d* [m].
 
     Returns:
         Pose, shape (3,).
@@ -125,11 +148,12 @@ def sample_addition(poses: FloatArray, active: BoolArray, rng: np.random.Generat
     others = poses[active, :2]
     if len(others) == 0:
         raise TriformError("a robot cannot join a world that has no robots: there is nobody to be near to")
-    low, high = others.min(axis=0) - SENSING_RANGE, others.max(axis=0) + SENSING_RANGE
+    spacing, reach = spacing_at(distance), SENSING_RANGE * distance
+    low, high = others.min(axis=0) - reach, others.max(axis=0) + reach
     for _ in range(_ROUNDS):
         places = rng.uniform(low, high, (_CANDIDATES, 2))
         nearest = np.linalg.norm(places[:, None] - others, axis=-1).min(axis=1)
-        valid = np.flatnonzero((nearest >= SPACING) & (nearest <= SENSING_RANGE))
+        valid = np.flatnonzero((nearest >= spacing) & (nearest <= reach))
         if len(valid):
             return np.array([*places[valid[0]], rng.uniform(-np.pi, np.pi)])
     raise TriformError(f"no free place for a new robot among {len(others)} robots")

@@ -14,7 +14,9 @@ from triform.simulation._world_kernels import advance_worlds, record_contacts
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
 from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, angle_offsets, apply_noise, cast_scans, scan_rays
+from triform.simulation.odometry import relative_poses
 from triform.simulation.profiles import Profile
+from triform.simulation.pushes import push_keys, random_pushes
 from triform.threads import in_parts
 from triform.types import (
     BoolArray,
@@ -46,6 +48,9 @@ class World:
 
     Physical contact is not simulated: robots pass through each other, walls and pillars, and overlaps are
     recorded.
+
+    A view also carries each robot's random push and its odometry, which is exact. The moment that a rolling scan shows is
+    the middle of its turn.
 
     Every world draws from generators of its own, one for each robot. A world's run is the same to the bit whatever
     the number of threads and whatever other worlds are in the batch.
@@ -91,6 +96,7 @@ class World:
         lidar = profile.lidar
         self._noisy = bool(lidar.noise) or lidar.angle_noise > 0 or lidar.dropout > 0
         self._seeds = _sequences(seeds, worlds, self._noisy)
+        self._push_keys = push_keys(self._seeds, worlds)
         self._rngs: dict[tuple[int, int], np.random.Generator] = {}
         self._profile = profile
         self._arena = Arena.open() if arena is None else arena
@@ -106,7 +112,9 @@ class World:
         self._blank_turn()
         # Until there is a scan, one number stands for all rays.
         self._newest: RangeArray = np.broadcast_to(np.float32(np.inf), (worlds, robots, lidar.scan.rays))
-        self._finished: deque[tuple[float, RangeArray]] = deque()
+        self._shown: FloatArray = self._poses.copy()
+        self._turn_start: FloatArray = self._shown
+        self._finished: deque[tuple[float, RangeArray, FloatArray]] = deque()
         self._record()
         if not lidar.rolling:
             self._finish_scan(self._snapshot())
@@ -165,12 +173,14 @@ class World:
         """Return the newest scans whose latency has passed, and everybody's true pose."""
         ready = self._time - self._profile.latency + _SAME_TIME
         while self._finished and self._finished[0][0] <= ready:
-            self._newest = self._finished.popleft()[1]
+            _, self._newest, self._shown = self._finished.popleft()
         return PrivilegedView(
             scans=Scan(self._newest, self._profile.lidar.scan),
             active=self.active,
             time=self._time,
             poses=self.poses,
+            push=random_pushes(self._push_keys, self._active.shape[1], self._time),
+            moved=relative_poses(self._poses, self._shown, self._active),
         )
 
     def apply(self, commands: FloatArray, duration: float) -> None:
@@ -225,6 +235,8 @@ class World:
         self._active[world, robot] = True
         self._poses[world, robot] = integrate(placed, np.zeros(3), 0.0)
         self._velocities[world, robot] = 0.0
+        for shown in (self._shown, self._turn_start, *(poses for _, _, poses in self._finished)):
+            shown[world, robot] = self._poses[world, robot]
         self._turn_ranges[world, robot, : self._next_ray] = np.nan
         self._turn_ranges[world, robot, self._next_ray :] = np.inf
         if self._profile.lidar.rolling and self._noisy:
@@ -251,7 +263,7 @@ class World:
         # Views handed out earlier share these arrays and must not change.
         self._newest = self._newest.copy()
         self._newest[world, robot] = np.inf
-        for _, ranges in self._finished:
+        for _, ranges, _ in self._finished:
             ranges[world, robot] = np.inf
 
     def _checked(self, commands: FloatArray) -> FloatArray:
@@ -326,6 +338,7 @@ class World:
     def _blank_turn(self) -> None:
         """Begin a turn in which nothing has been measured."""
         lidar = self._profile.lidar
+        self._turn_start = self._poses.copy()
         # A LiDAR that measures all rays at once keeps no turn.
         shape = (*self._active.shape, lidar.scan.rays if lidar.rolling else 0)
         self._turn_ranges = np.full(shape, np.inf, np.float32)
@@ -351,7 +364,12 @@ class World:
         if self._noisy:
             for b, i in np.argwhere(self._active):
                 ranges[b, i] = apply_noise(ranges[b, i], self._profile.lidar, self._rng(b, i))
-        self._finished.append((self._turn * self._profile.lidar.period, ranges))
+        shown = self._poses.copy()
+        if self._profile.lidar.rolling:
+            # Headings are averaged on the circle.
+            half = relative_poses(shown, self._turn_start, self._active)[..., 2:] / 2
+            shown = np.concatenate([(shown + self._turn_start)[..., :2] / 2, self._turn_start[..., 2:] + half], axis=-1)
+        self._finished.append((self._turn * self._profile.lidar.period, ranges, shown))
 
     def _grow(self) -> None:
         """Append one place to axis N of everything."""
@@ -365,7 +383,10 @@ class World:
         self._turn_ranges = padded(self._turn_ranges, np.inf)
         self._offsets = padded(self._offsets, 0.0)
         self._newest = padded(self._newest, np.inf)
-        self._finished = deque((when, padded(ranges, np.inf)) for when, ranges in self._finished)
+        self._shown, self._turn_start = padded(self._shown, np.nan), padded(self._turn_start, np.nan)
+        self._finished = deque(
+            (when, padded(ranges, np.inf), padded(shown, np.nan)) for when, ranges, shown in self._finished
+        )
 
 
 def _sequences(

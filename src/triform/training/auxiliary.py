@@ -1,8 +1,9 @@
-"""Auxiliary targets on patch tokens, used in training only.
+"""Auxiliary targets, used in training only.
 
 Every occupied patch also predicts, for the robot nearest to the centroid of its occupied cells: that robot's term of
-the teacher's sum, where its centre lies and whether it is a Gabriel neighbour. The truth behind a scan is known while
-training, and this tells each token what the command's sum is made of. The head is thrown away afterwards.
+the teacher's sum, where its centre lies, whether it is a Gabriel neighbour and whether it shares one with the robot that
+looks. The truth behind a scan is known while training, and this tells each token what the command's sum is made of. For the
+triangulating law the class token also predicts the facts on which its decisions hang. The heads are thrown away afterwards.
 """
 
 from __future__ import annotations
@@ -17,15 +18,17 @@ from torch.nn import functional
 from triform.policy import PackedMaps
 from triform.types import FloatArray, MapConfig
 
-#: Numbers predicted per token: term of the sum (2), centre offset (2), logit of being a neighbour (1).
-TARGETS = 5
+#: Numbers predicted per token: term of the sum (2), centre offset (2), logits of being a neighbour and of sharing one.
+TARGETS = 6
+#: Facts that are shares, predicted as logits; the others are velocities.
+_GATES = 3
 _OFFSET_SCALE = 0.2
 _REACH = 0.45
 
 
 @njit(cache=True, nogil=True)
 def _token_targets(  # type: ignore[no-untyped-def]
-    patches, positions, counts, neighbours, patch, columns, cell, half, distance, odd_gain, out, valid
+    patches, positions, counts, seen, patch, columns, cell, half, out, valid
 ):
     token = 0
     for m in range(counts.shape[0]):
@@ -41,79 +44,69 @@ def _token_targets(  # type: ignore[no-untyped-def]
                 x = (x_sum / cells + 0.5) * cell - half
                 y = (y_sum / cells + 0.5) * cell - half
                 nearest, best = -1, _REACH * _REACH
-                for j in range(neighbours.shape[1]):
-                    d_x, d_y = neighbours[m, j, 0] - x, neighbours[m, j, 1] - y
+                for j in range(seen.shape[1]):
+                    d_x, d_y = seen[m, j, 0] - x, seen[m, j, 1] - y
                     if d_x * d_x + d_y * d_y < best:
                         best = d_x * d_x + d_y * d_y
                         nearest = j
                 if nearest >= 0:
-                    q_x, q_y = neighbours[m, nearest, 0], neighbours[m, nearest, 1]
-                    edge = neighbours[m, nearest, 2]
-                    length = np.sqrt(q_x * q_x + q_y * q_y) + 1e-9
-                    strain = edge * (length - distance) / length
-                    out[token, 0] = strain * (q_x - odd_gain * q_y)
-                    out[token, 1] = strain * (q_y + odd_gain * q_x)
-                    out[token, 2] = (q_x - x) / _OFFSET_SCALE
-                    out[token, 3] = (q_y - y) / _OFFSET_SCALE
-                    out[token, 4] = edge
+                    out[token, 0], out[token, 1] = seen[m, nearest, 2], seen[m, nearest, 3]
+                    out[token, 2] = (seen[m, nearest, 0] - x) / _OFFSET_SCALE
+                    out[token, 3] = (seen[m, nearest, 1] - y) / _OFFSET_SCALE
+                    out[token, 4], out[token, 5] = seen[m, nearest, 4], seen[m, nearest, 5]
                     valid[token] = True
             token += 1
 
 
 def token_targets(
-    packed: PackedMaps, neighbours: FloatArray, config: MapConfig, patch: int, distance: float, odd_gain: float = 0.0
+    packed: PackedMaps, seen: FloatArray, config: MapConfig, patch: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Targets of every token and which tokens have any.
 
     Args:
         packed: Packed maps, K tokens of M maps.
-        neighbours: For each map the other robots in the body frame, (x [m], y [m], is a Gabriel neighbour), shape
-            (M, N - 1, 3).
+        seen: The robots around each map's own, as ``triform.dataset`` describes them: x, y, term (2), is a neighbour,
+            shares one, shape (M, S, 6).
         config: Configuration of the maps.
         patch: Cells along each side of a patch.
-        distance: Prescribed neighbour distance d* [m].
-        odd_gain: Gain of the teacher's odd spring over that of its spring.
 
     Returns:
-        Targets (K, 5) and a mask (K,).
+        Targets (K, TARGETS) and a mask (K,).
     """
     tokens = packed.patches.shape[0]
     targets = np.zeros((tokens, TARGETS), dtype=np.float32)
     valid = np.zeros(tokens, dtype=np.bool_)
+    columns = config.size // patch
     _token_targets(
-        packed.patches,
-        packed.positions,
-        packed.counts,
-        neighbours,
-        patch,
-        config.size // patch,
-        config.cell,
-        config.half_extent,
-        distance,
-        odd_gain,
-        targets,
-        valid,
-    )
+        packed.patches, packed.positions, packed.counts, seen, patch, columns, config.cell, config.half_extent,
+        targets, valid,
+    )  # fmt: skip
     return targets, valid
 
 
 class AuxiliaryHead(nn.Module):
-    """Predicts the targets of a token from its encoding."""
+    """Predicts the targets of a token from its encoding, or the facts of a map from its class token's."""
 
-    def __init__(self, dim: int) -> None:
+    def __init__(self, dim: int, outputs: int) -> None:
         super().__init__()
-        self.layers = nn.Sequential(nn.LayerNorm(dim), nn.Linear(dim, dim), nn.GELU(), nn.Linear(dim, TARGETS))
+        self.layers = nn.Sequential(nn.LayerNorm(dim), nn.Linear(dim, dim), nn.GELU(), nn.Linear(dim, outputs))
 
     def forward(self, features: Tensor) -> Tensor:
-        """Predicted targets (K, 5) of encoded tokens (K, D)."""
+        """Predicted numbers (K, outputs) of encoded tokens (K, D)."""
         out: Tensor = self.layers(features)
         return out
 
 
-def auxiliary_loss(predicted: Tensor, targets: Tensor, valid: Tensor) -> Tensor:
-    """Sum of the losses of the tokens that have targets; predicted and targets (K, 5), valid (K,)."""
+def token_loss(predicted: Tensor, targets: Tensor, valid: Tensor) -> Tensor:
+    """Sum of the losses of the tokens that have targets; predicted and targets (K, TARGETS), valid (K,)."""
     squares = (predicted[:, :4] - targets[:, :4]).square()
-    edge = functional.binary_cross_entropy_with_logits(predicted[:, 4], targets[:, 4], reduction="none")
-    each = squares[:, :2].mean(1) + 0.1 * squares[:, 2:].mean(1) + 0.1 * edge
+    logits = functional.binary_cross_entropy_with_logits(predicted[:, 4:], targets[:, 4:], reduction="none")
+    each = squares[:, :2].mean(1) + 0.1 * squares[:, 2:].mean(1) + 0.1 * logits.sum(1)
     # Not a product with the mask: a token without targets must not count even where its loss overflows.
     return torch.where(valid, each, 0.0).sum()
+
+
+def fact_loss(predicted: Tensor, facts: Tensor) -> Tensor:
+    """Sum over maps of the losses of the facts of the triangulating law, both (M, FACTS)."""
+    gates = functional.binary_cross_entropy_with_logits(predicted[:, :_GATES], facts[:, :_GATES], reduction="none")
+    return (0.1 * gates.sum(1) + 0.1 * (predicted[:, _GATES:] - facts[:, _GATES:]).square().sum(1)).sum()

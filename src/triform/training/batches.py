@@ -13,8 +13,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from triform.control import Teacher, expert_variant
-from triform.dataset import MANIFEST, Demonstrations, FreshBatch, Records, Split, draw_fresh, neighbours
+from triform.control import Teacher
+from triform.dataset import (
+    COLUMNS,
+    MANIFEST,
+    Demonstrations,
+    FreshBatch,
+    Records,
+    Split,
+    VisitedStates,
+    draw_fresh,
+    draw_views,
+    neighbours,
+)
 from triform.files import sha256
 from triform.policy import PackedMaps, pack
 from triform.policy.vit import TokenBatch, to_device, token_batch
@@ -41,9 +52,10 @@ class TrainBatch:
 
     Attributes:
         packed: The maps, and behind them others that only fill up the batch to a size that was met before.
-        commands: The teacher's body twists [m/s, m/s, rad/s] for the maps that are meant, shape (M, 3).
-        targets: Auxiliary targets of the tokens, shape (K, 5).
+        commands: What the network is to answer for the maps that are meant, shape (M, outputs).
+        targets: Auxiliary targets of the tokens, shape (K, TARGETS).
         valid: Tokens that have targets, shape (K,).
+        facts: Facts of the triangulating law for the maps that are meant, shape (M, FACTS), or (M, 0) without it.
         maps: Maps of the whole mini-batch.
     """
 
@@ -51,12 +63,14 @@ class TrainBatch:
     commands: NDArray[np.float32]
     targets: NDArray[np.float32]
     valid: NDArray[np.bool_]
+    facts: NDArray[np.float32]
     maps: int
 
     def to(self, device: torch.device) -> DeviceBatch:
         """The mini-batch in PyTorch."""
-        commands, targets, valid = (to_device(array, device) for array in (self.commands, self.targets, self.valid))
-        return DeviceBatch(token_batch(self.packed, device), commands, targets, valid)
+        arrays = (self.commands, self.targets, self.valid, self.facts)
+        commands, targets, valid, facts = (to_device(array, device) for array in arrays)
+        return DeviceBatch(token_batch(self.packed, device), commands, targets, valid, facts)
 
 
 @dataclass(frozen=True)
@@ -67,20 +81,26 @@ class DeviceBatch:
     commands: Tensor
     targets: Tensor
     valid: Tensor
+    facts: Tensor
 
 
 def _prepare(
-    maps: MapArray, commands: NDArray[np.floating], neighbours_body: FloatArray, config: TrainConfig, whole: int
+    maps: MapArray,
+    commands: NDArray[np.floating],
+    seen: FloatArray,
+    config: TrainConfig,
+    whole: int,
+    facts: FloatArray | None = None,
 ) -> TrainBatch:
     patch, network = config.network.patch, config.network
     packed = pack(maps, patch, network.attention)
-    odd_gain = expert_variant(config.teacher).odd_gain
-    targets, valid = token_targets(packed, neighbours_body, config.map, patch, config.distance, odd_gain)
+    targets, valid = token_targets(packed, seen, config.map, patch)
     if network.attention == "occupied":
         packed = _filled_up(packed)
         missing = len(packed.patches) - len(targets)
         targets, valid = np.pad(targets, ((0, missing), (0, 0))), np.pad(valid, (0, missing))
-    return TrainBatch(packed, commands.astype(np.float32), targets, valid, whole)
+    told = np.empty((len(commands), 0)) if facts is None else facts
+    return TrainBatch(packed, commands.astype(np.float32), targets, valid, told.astype(np.float32), whole)
 
 
 def _filled_up(packed: PackedMaps) -> PackedMaps:
@@ -145,7 +165,7 @@ class FreshSource:
 
 def _joined(parts: list[FreshBatch], robots: int, size: int) -> tuple[MapArray, FloatArray, FloatArray]:
     """Maps, commands and neighbours of several parts, of which there may be none."""
-    nothing = FreshBatch(np.empty((0, size, size), np.uint8), np.empty((0, 3)), np.empty((0, robots - 1, 3)))
+    nothing = FreshBatch(np.empty((0, size, size), np.uint8), np.empty((0, 3)), np.empty((0, robots - 1, COLUMNS)))
     parts = parts or [nothing]
     return (
         np.concatenate([part.maps for part in parts]),
@@ -171,10 +191,9 @@ class StoredSource:
             wanted, found = getattr(config, name), getattr(collected, name)
             if wanted != found:
                 raise TriformError(f"{data} was collected with {name} {found}; this training wants {wanted}")
+        self._teacher = Teacher(config.teacher, config.distance, collected.gain, collected.max_speed)
         #: Another teacher than that of the data set labels its states anew.
-        self._relabel: Teacher | None = None
-        if collected.teacher != config.teacher:
-            self._relabel = Teacher(config.teacher, config.distance, collected.gain, collected.max_speed)
+        self._relabel = collected.teacher != config.teacher
         self._records = max(1, round(config.batch_maps / collected.robots))
         self._epoch = self._demonstrations.batch_count("train", self._records)
         if self._epoch == 0:
@@ -201,13 +220,66 @@ class StoredSource:
     def _read(self, records: Records, processes: Processes) -> TrainBatch:
         whole = len(records) * self._demonstrations.manifest.config.robots
         records = records.part(*processes.share(len(records)))
-        around = neighbours(records.poses, expert_variant(self._config.teacher).sensing_range)
+        around = neighbours(records.poses, self._teacher)
         commands: NDArray[np.floating] = records.commands
-        if self._relabel is not None:
-            commands = self._relabel.label(records.poses).reshape(-1, 3)
+        if self._relabel:
+            commands = self._teacher.label(records.poses).reshape(-1, 3)
         return _prepare(records.maps(), commands, around, self._config, whole)
 
 
-def open_source(config: TrainConfig, data: Path | None) -> FreshSource | StoredSource:
-    """Demonstrations stored in ``data``, or fresh ones if it is ``None``."""
+class SceneSource:
+    """Views of random robots in random states, labelled by the triangulating law.
+
+    Every mini-batch is a function of the seed, its number and the visited states.
+    """
+
+    def __init__(self, config: TrainConfig) -> None:
+        """Draw as ``config`` says; until ``visited`` is set, all states are random placements."""
+        if config.maps is None or config.scenes is None:
+            raise TriformError(f"the preset {config.preset!r} says neither how many maps to draw nor from which scenes")
+        self._config = config
+        self._scenes = config.scenes
+        self.visited = VisitedStates.none()
+        self.steps = -(-config.maps // config.batch_maps)
+        #: Fresh views need no data set.
+        self.checksum: str | None = None
+
+    def batches(self, start: int, processes: Processes = ALONE) -> Iterator[Callable[[], TrainBatch]]:
+        """Tasks that draw the mini-batches from number ``start`` on, or the share of a process in them, without end."""
+        return (partial(self._draw, _FRESH_STREAM, index, processes) for index in itertools.count(start))
+
+    def validation(self) -> list[TrainBatch]:
+        """Mini-batches that training never draws."""
+        return [self._draw(_VALIDATION_STREAM, index, ALONE) for index in range(_validation_count(self._config))]
+
+    def _draw(self, stream: int, index: int, processes: Processes) -> TrainBatch:
+        config = self._config
+        seeds = np.random.SeedSequence([config.seed, stream, index]).spawn(_PARTS)
+        first, last = processes.share(_PARTS)
+        shares = [
+            config.batch_maps * (part + 1) // _PARTS - config.batch_maps * part // _PARTS for part in range(_PARTS)
+        ]
+        parts = [
+            draw_views(
+                np.random.default_rng(seeds[part]), shares[part], config.law, self._scenes, self.visited,
+                config.scan, config.map,
+            )
+            for part in range(first, last)
+        ]  # fmt: skip
+        maps, commands, seen, facts = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("maps", "commands", "seen", "facts")
+        )
+        return _prepare(maps, commands, seen, config, config.batch_maps, facts)
+
+
+def open_source(config: TrainConfig, data: Path | None) -> FreshSource | StoredSource | SceneSource:
+    """Demonstrations stored in ``data``, or fresh ones if it is ``None``: scenes if the configuration has any.
+
+    Raises:
+        TriformError: If the data cannot be used, or the configuration needs none.
+    """
+    if config.scenes is not None:
+        if data is not None:
+            raise TriformError(f"the preset {config.preset!r} draws its own scenes; it reads no --data")
+        return SceneSource(config)
     return FreshSource(config) if data is None else StoredSource(config, data)

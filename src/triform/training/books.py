@@ -12,10 +12,9 @@ from typing import Any
 import torch
 from torch import nn
 
-from triform.policy import PolicySpec
 from triform.policy.vit import VisionTransformer
 from triform.policy.weights import save_policy
-from triform.training.batches import FreshSource, StoredSource, TrainBatch
+from triform.training.batches import FreshSource, SceneSource, StoredSource, TrainBatch
 from triform.training.logs import TrainingLog
 from triform.training.presets import TrainConfig
 from triform.training.state import save_state
@@ -69,7 +68,7 @@ class Books:
         self,
         out: Path,
         config: TrainConfig,
-        source: FreshSource | StoredSource,
+        source: FreshSource | StoredSource | SceneSource,
         learner: nn.Module,
         policy: VisionTransformer,
         optimizer: torch.optim.Optimizer,
@@ -91,7 +90,7 @@ class Books:
             save_seconds: Time between two saved states [s].
         """
         self._out = out
-        self._spec = PolicySpec(config.network, config.scan, config.map, config.distance, config.record())
+        self._spec = config.spec()
         self._steps = source.steps
         self._validate_every, self._log_every = max(1, self._steps // 50), max(1, self._steps // 1000)
         self._checks = source.validation()

@@ -6,16 +6,18 @@ import json
 import math
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from triform.control._triangulating_kernels import FACTS
 from triform.files import exclusive, make_folder, write_atomically
 from triform.policy.vit import VisionTransformer
-from triform.training.auxiliary import AuxiliaryHead, auxiliary_loss
-from triform.training.batches import DeviceBatch, TrainBatch, open_source
+from triform.training.auxiliary import TARGETS, AuxiliaryHead, fact_loss, token_loss
+from triform.training.batches import DeviceBatch, SceneSource, TrainBatch, open_source
 from triform.training.books import STATE_FILE, Books, Progress
 from triform.training.flat import FlatParameters
 from triform.training.precision import matrix_products, reduced
@@ -24,18 +26,25 @@ from triform.training.presets import TrainConfig
 from triform.training.processes import Processes, joined, local_device
 from triform.training.state import load_state, read_progress
 from triform.training.stopping import stop_requests
+from triform.training.visits import visit_states
 from triform.types import TriformError, require
 
 CONFIG_FILE = "train.json"
 
 
 def command_loss(predicted: Tensor, wanted: Tensor, kind: str) -> Tensor:
-    """Losses of body twists, shape (M, 3), summed over maps: Euclidean norm of the error, or its mean square."""
+    """Losses of commands summed over maps: Euclidean norm of the error, or its mean square.
+
+    Args:
+        predicted: Body twists and, behind them, amplitudes of pushes if there are any, shape (M, outputs).
+        wanted: The same of the teacher.
+        kind: ``norm`` or ``mse``. With the norm, the error of an amplitude counts by itself.
+    """
     squares = (predicted - wanted).square()
     if kind == "mse":
         return squares.mean(1).sum()
     # The small constant keeps the gradient finite at zero error.
-    return (squares.sum(1) + 1e-8).sqrt().sum()
+    return (squares[:, :3].sum(1) + 1e-8).sqrt().sum() + (squares[:, 3:] + 1e-8).sqrt().sum()
 
 
 def learning_rate(config: TrainConfig, step: int, steps: int) -> float:
@@ -51,7 +60,9 @@ class Learner(nn.Module):
     def __init__(self, config: TrainConfig) -> None:
         super().__init__()
         self.policy = VisionTransformer(config.network)
-        self.auxiliary = AuxiliaryHead(config.network.dim) if config.auxiliary > 0 else None
+        dim, wanted = config.network.dim, config.auxiliary > 0
+        self.auxiliary = AuxiliaryHead(dim, TARGETS) if wanted else None
+        self.facts = AuxiliaryHead(dim, FACTS) if wanted and config.scenes is not None else None
 
     def losses(self, batch: DeviceBatch, config: TrainConfig, maps: float, tokens: float) -> tuple[Tensor, Tensor]:
         """Command loss and total loss of a mini-batch: sums over what it holds, over the numbers to divide by.
@@ -66,11 +77,14 @@ class Learner(nn.Module):
             token_features, class_features = self.policy.encode(batch.tokens)
             commands = self.policy.command(class_features)[: len(batch.commands)]
             predicted = self.auxiliary(token_features) if self.auxiliary is not None else None
+            told = self.facts(class_features)[: len(batch.commands)] if self.facts is not None else None
         command = command_loss(commands.float(), batch.commands, config.loss) / maps
-        if predicted is None:
-            return command, command
-        auxiliary = auxiliary_loss(predicted.float(), batch.targets, batch.valid) / tokens
-        return command, command + config.auxiliary * auxiliary
+        total = command
+        if predicted is not None:
+            total = total + config.auxiliary * token_loss(predicted.float(), batch.targets, batch.valid) / tokens
+        if told is not None:
+            total = total + config.auxiliary * fact_loss(told.float(), batch.facts) / maps
+        return command, total
 
 
 def make_optimizer(config: TrainConfig, parameters: FlatParameters) -> torch.optim.Optimizer:
@@ -173,27 +187,35 @@ def train(
             held.enter_context(books)
         # Nobody writes a state that another has yet to read.
         processes.wait()
-        prefetched = Prefetched(source.batches(record["step"], processes), producers)
-        batches = held.enter_context(prefetched)
-        for step in range(record["step"], source.steps):
-            batch = next(batches)
-            shared = torch.tensor([batch.valid.sum(), stopping()], dtype=torch.float64)
-            processes.add(shared)
-            tokens, stops = shared.tolist()
-            loss, norm = _gradient(learner, parameters, processes, batch, config, max(tokens, 1.0))
-            # Before the step, so that weights that are not finite are never kept.
-            if not math.isfinite(loss + norm):
-                raise TriformError(
-                    f"training diverged at step {step + 1}: the loss is {loss}, its gradient's norm {norm}"
-                )
-            for group in optimizer.param_groups:
-                group["lr"] = learning_rate(config, step, source.steps)
-            optimizer.step()
-            stop = stops > 0 and step + 1 < source.steps
-            if books is not None:
-                books.enter(loss, batch.maps, prefetched.waited, save=stop)
-            if stop:
-                raise KeyboardInterrupt
+        bounds = config.round_steps(source.steps)
+        for number, (begin, end) in enumerate(pairwise(bounds)):
+            if end <= record["step"]:
+                continue
+            if isinstance(source, SceneSource):
+                source.visited = visit_states(out, config, learner.policy, number, processes)
+            first = max(begin, record["step"])
+            prefetched = Prefetched(source.batches(first, processes), producers)
+            with prefetched as batches:
+                for step in range(first, end):
+                    batch = next(batches)
+                    shared = torch.tensor([batch.valid.sum(), stopping()], dtype=torch.float64)
+                    processes.add(shared)
+                    tokens, stops = shared.tolist()
+                    loss, norm = _gradient(learner, parameters, processes, batch, config, max(tokens, 1.0))
+                    # Before the step, so that weights that are not finite are never kept.
+                    if not math.isfinite(loss + norm):
+                        raise TriformError(
+                            f"training diverged at step {step + 1}: the loss is {loss}, its gradient's norm {norm}"
+                        )
+                    for group in optimizer.param_groups:
+                        group["lr"] = learning_rate(config, step, source.steps)
+                    optimizer.step()
+                    stop = stops > 0 and step + 1 < source.steps
+                    if books is not None:
+                        # A round begins from a saved state, so that it can be repeated.
+                        books.enter(loss, batch.maps, prefetched.waited, save=stop or step + 1 in bounds)
+                    if stop:
+                        raise KeyboardInterrupt
     return out / "best"
 
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
-from triform.control import expert_variant
-from triform.dataset import StateConfig
-from triform.policy import NetworkConfig
+from triform.control import TriangulatingLaw, expert_variant
+from triform.dataset import SceneConfig, StateConfig
+from triform.policy import NetworkConfig, PolicySpec
 from triform.types import ConfigurationError, MapConfig, ScanConfig, require
 
 Precision = Literal["float32", "medium", "bfloat16"]
@@ -38,7 +38,10 @@ class TrainConfig:
             faster kind of float32 (see ``precision.py``), ``bfloat16`` also rounds what enters them. Weights, sums and
             losses are float32 throughout.
         states: Which fresh states are drawn.
-        scan: The LiDAR.
+        scenes: Which views are drawn to learn the triangulating law; ``None`` learns an expert from demonstrations.
+        law: Constants of the triangulating law.
+        rounds: Shares of the steps after which the learner itself drives teams, and where it went is drawn from as well.
+        scan: The LiDAR; in units of d* with ``scenes``, and so is the map.
         map: The occupancy map.
     """
 
@@ -59,6 +62,9 @@ class TrainConfig:
     seed: int = 1
     precision: Precision = "medium"
     states: StateConfig = field(default_factory=StateConfig)
+    scenes: SceneConfig | None = None
+    law: TriangulatingLaw = field(default_factory=TriangulatingLaw)
+    rounds: tuple[float, ...] = ()
     scan: ScanConfig = field(default_factory=ScanConfig)
     map: MapConfig = field(default_factory=MapConfig)
 
@@ -81,8 +87,24 @@ class TrainConfig:
             self.precision in get_args(Precision),
             f"precision is {self.precision!r}; it must be one of {', '.join(get_args(Precision))}",
         )
-        expert_variant(self.teacher)
+        require(
+            all(0 < share < 1 for share in self.rounds) and list(self.rounds) == sorted(set(self.rounds)),
+            f"rounds are {self.rounds}; growing shares between 0 and 1 are needed",
+        )
+        require(
+            self.scenes is not None or not self.rounds, "rounds are given, but only learning from scenes has rounds"
+        )
+        if self.scenes is None:
+            expert_variant(self.teacher)
         require(self.optimizer in ("adamw", "rmsprop"), f"there is no optimizer {self.optimizer!r}")
+
+    def round_steps(self, steps: int) -> list[int]:
+        """Steps at which rounds begin, and the last step, for a training of so many steps."""
+        return [0, *(round(share * steps) for share in self.rounds), steps]
+
+    def spec(self) -> PolicySpec:
+        """Description of the policy that comes out of it."""
+        return PolicySpec(self.network, self.scan, self.map, self.distance, self.record())
 
     def record(self) -> dict[str, Any]:
         """What a checkpoint says of its training, plain JSON values."""
@@ -94,6 +116,16 @@ class TrainConfig:
 
 
 PRESETS = {
+    "tri": TrainConfig(
+        "tri",
+        NetworkConfig(dim=128, depth=3, heads=4, mlp=256, outputs=4),
+        maps=8_000_000,
+        learning_rate=2e-3,
+        warmup=500,
+        teacher="triangulating",
+        scenes=SceneConfig(),
+        rounds=(0.2, 0.4, 0.6, 0.8),
+    ),
     # The smallest network that loses nothing, see docs/results.md.
     "default": TrainConfig("default", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=5_000_000),
     # The paper's network, trained with the recipe that works.

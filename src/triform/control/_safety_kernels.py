@@ -1,0 +1,182 @@
+"""Compiled speed limits from a scan: gaps, half-planes of allowed velocities, and the nearest allowed velocity."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+#: Sine of the angle below which two lines count as parallel.
+_PARALLEL = 1e-9
+
+
+@njit(cache=True, nogil=True)
+def gap_along(distance, cos, sin, body):  # type: ignore[no-untyped-def]
+    """Gap between a robot's own outline and a return.
+
+    Args:
+        distance: Range of the return [m].
+        cos: Direction of its ray in the robot's frame, x.
+        sin: The same, y.
+        body: Outline: half length, half width, whether it is a circle [m].
+
+    Returns:
+        The gap [m], negative inside the outline, and the unit vector along which it is measured, from the outline
+        to the return. Inside the outline that is the direction of the ray.
+    """
+    half_length, half_width, is_circle = body
+    if is_circle:
+        return distance - half_length, cos, sin
+    x, y = distance * cos, distance * sin
+    out_x, out_y = abs(x) - half_length, abs(y) - half_width
+    if out_x <= 0.0 and out_y <= 0.0:
+        return max(out_x, out_y), cos, sin
+    sign_x, sign_y = np.sign(x), np.sign(y)
+    if out_y <= 0.0:
+        return out_x, sign_x, 0.0
+    if out_x <= 0.0:
+        return out_y, 0.0, sign_y
+    gap = np.sqrt(out_x * out_x + out_y * out_y)
+    return gap, sign_x * out_x / gap, sign_y * out_y / gap
+
+
+@njit(cache=True, nogil=True)
+def nearest_allowed(u_x, u_y, planes, count):  # type: ignore[no-untyped-def]
+    """The velocity nearest to a wanted one within half-planes that all hold the origin.
+
+    Planes are added one by one. If one forbids the best velocity so far, the best one now lies on its line, at the
+    place nearest to the wanted velocity that the planes before leave free. That place exists: the way from the best
+    velocity so far to zero, both allowed by the planes before, crosses the line. Where rounding hides it (planes
+    that leave a single line or point), the crossing itself is taken. As zero is allowed, the result is never longer
+    than the wanted velocity.
+
+    Args:
+        u_x: Wanted velocity, x [m/s].
+        u_y: The same, y [m/s].
+        planes: Unit normal (2) and bound, not negative [m/s], of every half-plane ``normal . u <= bound``, shape
+            (>= count, 3).
+        count: Number of half-planes.
+
+    Returns:
+        The velocity (x, y) [m/s]; the wanted one itself if it is allowed.
+    """
+    x, y = u_x, u_y
+    for i in range(count):
+        n_x, n_y, bound = planes[i, 0], planes[i, 1], planes[i, 2]
+        speed = n_x * x + n_y * y
+        if speed <= bound:
+            continue
+        low, high = -np.inf, np.inf
+        for j in range(i):
+            slope = n_x * planes[j, 1] - n_y * planes[j, 0]
+            room = planes[j, 2] - bound * (n_x * planes[j, 0] + n_y * planes[j, 1])
+            if slope > _PARALLEL:
+                high = min(high, room / slope)
+            elif slope < -_PARALLEL:
+                low = max(low, room / slope)
+        if low > high:
+            x, y = x * (bound / speed), y * (bound / speed)
+        else:
+            along = min(max(n_x * u_y - n_y * u_x, low), high)
+            x, y = bound * n_x - along * n_y, bound * n_y + along * n_x
+    return x, y
+
+
+@njit(cache=True, nogil=True)
+def _measured(value, range_min, range_max):  # type: ignore[no-untyped-def]
+    """Range of a ray [m]: ``-inf`` is ``range_min``; no return and no measurement are ``inf``."""
+    if 0.0 < value <= range_max:
+        return value
+    return range_min if value == -np.inf else np.inf
+
+
+@njit(cache=True, nogil=True)
+def _confirmed(ranges, k, range_min, range_max):  # type: ignore[no-untyped-def]
+    """Median range of a ray and its two neighbours [m]: what a single ray shows is not believed."""
+    total = ranges.shape[0]
+    left = _measured(ranges[k - 1], range_min, range_max)
+    own = _measured(ranges[k], range_min, range_max)
+    right = _measured(ranges[k + 1 if k + 1 < total else 0], range_min, range_max)
+    return max(min(left, own), min(max(left, own), right))
+
+
+@njit(cache=True, nogil=True)
+def _driven(u_x, u_y, limits):  # type: ignore[no-untyped-def]
+    """What the drive makes of a velocity: shortened to a largest speed, then each axis clipped [m/s]."""
+    max_speed, max_axis_speed = limits
+    speed = np.sqrt(u_x * u_x + u_y * u_y)
+    if speed > max_speed:
+        u_x, u_y = u_x * (max_speed / speed), u_y * (max_speed / speed)
+    return min(max(u_x, -max_axis_speed), max_axis_speed), min(max(u_y, -max_axis_speed), max_axis_speed)
+
+
+@njit(cache=True, nogil=True)
+def _is_blind(ranges, early):  # type: ignore[no-untyped-def]
+    """Whether a scan tells nothing: it has no measurement, or, ``early`` in a run, no return."""
+    for k in range(ranges.shape[0]):
+        value = ranges[k]
+        if value == -np.inf or 0.0 < value < np.inf or (value == np.inf and not early):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _find_planes(ranges, sight, body, law, speed, planes):  # type: ignore[no-untyped-def]
+    """Write the half-planes that can forbid a velocity of norm ``speed``; return their number and the least gap [m]."""
+    directions, range_min, range_max = sight
+    rate, min_gap, circumradius = law
+    reach = circumradius + min_gap + speed / rate
+    count, least = 0, np.inf
+    for k in range(ranges.shape[0]):
+        distance = _confirmed(ranges, k, range_min, range_max)
+        if distance >= reach:
+            continue
+        gap, n_x, n_y = gap_along(distance, directions[k, 0], directions[k, 1], body)
+        least = min(least, gap)
+        bound = rate * max(gap - min_gap, 0.0)
+        if bound < speed:
+            planes[count, 0], planes[count, 1], planes[count, 2] = n_x, n_y, bound
+            count += 1
+    return count, least
+
+
+@njit(cache=True, nogil=True)
+def guard_robots(ranges, active, sight, body, law, limits, early, commands, first, last):  # type: ignore[no-untyped-def]
+    """Limit the commands of the robots ``first <= m < last`` in place.
+
+    Args:
+        ranges: Newest scans [m], shape (M, R).
+        active: Robots that exist, shape (M,).
+        sight: Unit vectors of the rays in the robot's frame (R, 2), ``range_min`` and ``range_max`` [m].
+        body: Outline of all robots: half length, half width, whether it is a circle [m].
+        law: Rate [1/s], ``min_gap`` and circumradius of the outline [m].
+        limits: The drive's largest speed and largest speed of an axis [m/s].
+        early: Whether scans may still be missing because the run has just begun.
+        commands: Body twists, shape (M, 3) [m/s, m/s, rad/s].
+        first: First robot.
+        last: One behind the last.
+    """
+    circle = (law[2], law[2], True)
+    planes = np.empty((ranges.shape[1] + 4, 3))
+    for m in range(first, last):
+        turning = commands[m, 2] != 0.0
+        u_x, u_y = _driven(commands[m, 0], commands[m, 1], limits)
+        speed = np.sqrt(u_x * u_x + u_y * u_y)
+        if not active[m] or (speed == 0.0 and not turning):
+            continue
+        if _is_blind(ranges[m], early):
+            commands[m] = 0.0
+            continue
+        count, least = _find_planes(ranges[m], sight, circle if turning else body, law, speed, planes)
+        if turning and least <= 0.0:
+            commands[m, 2] = 0.0
+        if count == 0:
+            continue
+        if limits[1] < np.inf:
+            for side in range(4):
+                planes[count, 0] = (1.0, -1.0, 0.0, 0.0)[side]
+                planes[count, 1] = (0.0, 0.0, 1.0, -1.0)[side]
+                planes[count, 2] = limits[1]
+                count += 1
+        x, y = nearest_allowed(u_x, u_y, planes, count)
+        if x != u_x or y != u_y:
+            commands[m, 0], commands[m, 1] = x, y
