@@ -20,7 +20,7 @@ from benchmarks.settings import Settings, Watch
 from benchmarks.timing import Side, Spread, compare
 from triform.control import shipped_weights
 from triform.perception import occupancy_maps
-from triform.policy import PackedMaps, PolicyRuntime, pack
+from triform.policy import PackedMaps, PolicyRuntime, pack, vit_network
 from triform.policy.export import export_policy
 from triform.types import FloatArray, MapArray, MapConfig
 
@@ -38,7 +38,8 @@ def measure(settings: Settings, watch: Watch) -> Iterator[Row]:
         folders[_EIGHT_BITS] = Path(room) / "int8"
         export_policy(folders["large"], np.concatenate(single_maps(settings)), "int8", folders[_EIGHT_BITS])
         runtimes = {name: PolicyRuntime(folder) for name, folder in folders.items()}
-        patch = runtimes["large"].spec.network.patch
+        shapes = {name: vit_network(runtime.spec.network) for name, runtime in runtimes.items()}
+        patch = shapes["large"].patch
         for case, inputs in (("one robot", single_maps(settings)), ("13 robots at once", team_maps(settings))):
             packed = [pack(maps, patch) for maps in inputs]
             patches = [all_patches(maps, patch) for maps in inputs]
@@ -51,9 +52,7 @@ def measure(settings: Settings, watch: Watch) -> Iterator[Row]:
             peak = best_rate(seconds, [side.name for side in limits])
             # Per input, as the measured times.
             least = {
-                f"{name}, {_PACKED}": sum(packed_flops(runtimes[name].spec.network, each) for each in packed)
-                / len(packed)
-                / peak
+                f"{name}, {_PACKED}": sum(packed_flops(shapes[name], each) for each in packed) / len(packed) / peak
                 for name in dense
             }
             yield from _rows(case, seconds, least, float(np.concatenate([each.counts for each in packed]).mean()))

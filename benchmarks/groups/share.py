@@ -15,7 +15,7 @@ from benchmarks.settings import Settings, Watch
 from benchmarks.timing import Side, Spread, compare
 from triform.control import shipped_weights
 from triform.perception import occupancy_maps
-from triform.policy import PackedMaps, PolicyRuntime, pack
+from triform.policy import PackedMaps, PolicyRuntime, pack, vit_network
 from triform.types import MapConfig
 
 
@@ -25,7 +25,7 @@ def measure(settings: Settings, watch: Watch) -> Iterator[Row]:
     names = [side.name for side in limits]
     for weights, aim in (("large", Aim(">=", 50.0)), ("default", None)):
         runtime = PolicyRuntime(shipped_weights()[weights], threads=1)
-        network = runtime.spec.network
+        network = vit_network(runtime.spec.network)
         for case, inputs in _inputs(settings, network.patch).items():
             sides = [*limits, _policy(runtime, inputs)]
             seconds = compare(sides, settings, watch, f"share of the peak, {weights}, {case}")

@@ -17,6 +17,7 @@ from benchmarks.settings import Settings, Watch
 from benchmarks.timing import Spread
 from triform.control import Teacher
 from triform.dataset import draw_fresh
+from triform.policy import vit_network
 from triform.threads import limit_threads
 from triform.training import Precision, Progress, TrainConfig, get_preset, train
 from triform.training.precision import matrix_products
@@ -58,7 +59,7 @@ def _against_dense(settings: Settings, watch: Watch) -> Iterator[Row]:
 
 
 def _small(settings: Settings, watch: Watch) -> Row:
-    config = get_preset("default")
+    config = get_preset("springs")
     what = f"training the small default network, {settings.cores} cores, maps/s"
     rounds = settings.training_rounds
     rates = np.empty(rounds)
@@ -100,13 +101,14 @@ def _rate(config: TrainConfig, settings: Settings, steps: int, threads: int) -> 
 def _dense_step(config: TrainConfig) -> Callable[[], int]:
     """One step of training a dense network; returns the number of its maps."""
     torch.manual_seed(config.seed)
-    network = DenseTransformer(config.network)
+    shape = vit_network(config.network)
+    network = DenseTransformer(shape)
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
     )
     rng = np.random.default_rng(config.seed)
     fresh = draw_fresh(rng, config.batch_maps, Teacher(config.teacher), config.states, config.scan, config.map)
-    patches = torch.from_numpy(all_patches(fresh.maps, config.network.patch))
+    patches = torch.from_numpy(all_patches(fresh.maps, shape.patch))
     wanted = torch.from_numpy(fresh.commands).float()
 
     def step() -> int:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from triform.policy import NetworkConfig, pack
+from triform.policy import NetworkConfig, pack, vit_network
 from triform.policy.vit import token_batch
 from triform.policy.weights import load_policy
 from triform.types import MapArray
@@ -85,10 +85,11 @@ def dense_network(folder: Path) -> DenseTransformer:
         AssertionError: If it is another function than the policy's network that attends to every patch.
     """
     network, spec = load_policy(folder)
-    dense = DenseTransformer(spec.network).eval()
+    shape = vit_network(spec.network)
+    dense = DenseTransformer(shape).eval()
     dense.load_state_dict(network.state_dict())
     maps = (np.random.default_rng(0).random((2, spec.map.size, spec.map.size)) < 0.02).astype(np.uint8)
-    patch = spec.network.patch
+    patch = shape.patch
     with torch.inference_mode():
         difference = dense(torch.from_numpy(all_patches(maps, patch))) - network(token_batch(pack(maps, patch, "all")))
     assert float(difference.abs().max()) < TOLERANCE, "the dense network is another function"

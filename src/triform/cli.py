@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import field, make_dataclass
+from dataclasses import field, fields, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -65,6 +65,30 @@ def _conditions() -> tuple[Any, Callable[..., Any]]:
     return ConditionsConfig, run_conditions
 
 
+def _ablate() -> tuple[Any, Callable[..., Any]]:
+    from triform.evaluation.ablation import CHOSEN, AblateConfig, run_ablate
+
+    return _without(AblateConfig, CHOSEN), run_ablate
+
+
+def _compare() -> tuple[Any, Callable[..., Any]]:
+    from triform.evaluation.compare import CHOSEN, CompareConfig, run_compare
+
+    return _without(CompareConfig, CHOSEN), run_compare
+
+
+def _without(options: type[Any], names: Sequence[str]) -> Any:
+    """Return options that are not shown the names that the command chooses itself."""
+    hidden = [
+        (each.name, Annotated[Any, tyro.conf.Suppress], field(default=each.default))
+        for each in fields(options)
+        if each.name in names
+    ]
+    chosen = make_dataclass(options.__name__, hidden, bases=(options,), frozen=True)
+    chosen.__doc__ = options.__doc__
+    return chosen
+
+
 def _reproduce() -> tuple[Any, Callable[..., Any]]:
     from triform.evaluation.reproduce import ReproduceConfig, What, reproduce
 
@@ -86,6 +110,8 @@ COMMANDS: dict[str, tuple[str, Callable[[], tuple[Any, Callable[..., Any]]]]] = 
     "evaluate": ("measure a controller on many starts", _evaluate),
     "dynamic": ("measure teams that a robot joins or leaves", _dynamic),
     "conditions": ("measure a controller under many conditions", _conditions),
+    "ablate": ("measure the triangulating law without each of its terms", _ablate),
+    "compare": ("measure controllers side by side", _compare),
     "reproduce": ("write the paper's tables and figures", _reproduce),
     "collect": ("collect demonstrations", _collect),
     "train": ("train a policy", _train),

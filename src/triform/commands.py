@@ -16,8 +16,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from triform.engines import EngineName, open_engine
 from triform.types import ConfigurationError
 
-#: Fresh maps on which an exported policy is compared with PyTorch.
-_CHECKED_MAPS = 1000
+#: Robots in fresh states for which an exported policy is compared with PyTorch, at least.
+_CHECKED_ROBOTS = 1000
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,9 @@ class Train:
 
     Attributes:
         out: Folder for state, logs and the best and last policy.
-        preset: ``default`` is the small network, ``large`` the paper's with the same recipe, ``paper`` Algorithm 1 as
-            printed, which needs ``--data``.
+        preset: ``default`` learns the triangulating law, and ``cnn``, ``gnn`` and ``dense`` do so with other networks;
+            ``springs`` learns an expert of springs, ``large`` so with the paper's network, and ``paper`` is Algorithm 1
+            as printed, which needs ``--data``.
         data: Stored demonstrations; fresh ones are drawn if omitted.
         maps: Maps to train on. The preset's if omitted.
         teacher: Who labels: ``expert``, ``expert-sensed`` or ``expert-odd``. The data set's or the
@@ -97,7 +98,7 @@ class Train:
     """
 
     out: Path
-    preset: Literal["default", "large", "paper"] = "default"
+    preset: Literal["default", "springs", "large", "paper", "cnn", "gnn", "dense"] = "default"
     data: Path | None = None
     maps: int | None = None
     teacher: str | None = None
@@ -163,23 +164,22 @@ class Export:
     out: Path | None = None
 
     def run(self, console: Console) -> None:
-        """Export, check on fresh maps and say how well it went."""
+        """Export, check in fresh states and say how well it went."""
         import numpy as np
 
-        from triform.control import Teacher
-        from triform.dataset import StateConfig, draw_fresh
+        from triform.dataset import fresh_inputs
         from triform.policy import read_spec
         from triform.policy.checkpoint import ONNX_FILE
         from triform.policy.export import export_policy
 
         spec = read_spec(self.folder)
-        rng = np.random.default_rng(0)
-        fresh = draw_fresh(rng, _CHECKED_MAPS, Teacher("expert"), StateConfig(robots=(13,)), spec.scan, spec.map)
-        maps = fresh.maps[:_CHECKED_MAPS]
-        difference = export_policy(self.folder, maps, self.precision, self.out)
+        difference = export_policy(
+            self.folder, fresh_inputs(np.random.default_rng(0), _CHECKED_ROBOTS, spec), self.precision, self.out
+        )
         console.print(
-            f"wrote {(self.out or self.folder) / ONNX_FILE} in {self.precision}; on {len(maps)} fresh maps its "
-            f"commands differ from PyTorch's by {difference.mean:.0e} on average and {difference.largest:.0e} at most",
+            f"wrote {(self.out or self.folder) / ONNX_FILE} in {self.precision}; in fresh states of {_CHECKED_ROBOTS} "
+            f"robots its commands differ from PyTorch's by {difference.mean:.0e} on average and "
+            f"{difference.largest:.0e} at most",
             soft_wrap=True,
             markup=False,
         )

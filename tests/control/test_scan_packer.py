@@ -52,6 +52,28 @@ def test_packing_scans_is_algorithm_3_and_packing(
         assert_same(packer.pack(ranges), pack(occupancy_maps(Scan(ranges, SCAN), config), patch, keep))
 
 
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5))
+def test_scans_of_robots_that_have_moved(seed: int, scans: int) -> None:
+    ranges, packer, config = random_ranges(seed, scans), ScanPacker(SCAN, MapConfig(), 10), MapConfig()
+    at_rest = occupancy_maps(Scan(ranges, SCAN), config)
+    assert_same(packer.pack(ranges, np.zeros((scans, 3))), pack(at_rest, 10))
+    # By whole rays and a quarter turn, so that turning the scan is the same.
+    turns = np.random.default_rng(seed).integers(-SCAN.rays, SCAN.rays, scans)
+    moved = np.zeros((scans, 3))
+    moved[:, 2] = turns * SCAN.angle_increment
+    found = packer.pack(ranges, moved)
+    alone = [ScanPacker(SCAN, config, 10).pack(ranges[m : m + 1], moved[m : m + 1]) for m in range(scans)]
+    np.testing.assert_array_equal(found.counts, np.concatenate([each.counts for each in alone]))
+    np.testing.assert_array_equal(found.positions, np.concatenate([each.positions for each in alone]))
+    np.testing.assert_array_equal(found.patches, np.concatenate([each.patches for each in alone]))
+    turned = np.stack([np.roll(row, -turn) for row, turn in zip(ranges, turns, strict=True)])
+    wanted = occupancy_maps(Scan(turned, SCAN), config)
+    # Cells on whose edge a return lies may differ, and groups that one cell more or less keeps or drops.
+    differing = sum(int(each.sum()) for each in found.patches) - int(wanted.sum())
+    assert abs(differing) <= 0.25 * max(wanted.sum(), at_rest.sum(), 40)
+
+
 def test_threads_do_not_share_their_room() -> None:
     packer = ScanPacker(SCAN, MapConfig(), 10)
     batches = [random_ranges(seed, 60) for seed in range(24)]

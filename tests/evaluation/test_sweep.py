@@ -92,8 +92,8 @@ def test_results_depend_neither_on_chunks_nor_on_threads(changes, monkeypatch, t
 def test_the_work_can_be_sent_to_another_machine():
     found = ConditionSweep(ConditionsConfig(**(QUICK | {"which": ("distance", "incident")})))
     portables = {
-        distance: PortableController(Scenario(controller="expert-odd", distance=distance), controller)
-        for distance, controller in found.controllers.items()
+        kind: PortableController(Scenario(controller="expert-odd", distance=kind[0]), controller)
+        for kind, controller in found.controllers.items()
     }
     task = MeasureCells(found.config, portables)
     far = pickle.loads(pickle.dumps(task))
@@ -187,7 +187,7 @@ def test_failed_runs_are_drawn_as_they_were_measured(folder):
     for failure in failures:
         cell = next(cell for cell in found.cells if failure.title.startswith(cell.name))
         run = int(failure.title.split()[-1])
-        _, table = run_cell(found.config, CellRuns(cell, run, 1), found.controllers[1.0])
+        _, table = run_cell(found.config, CellRuns(cell, run, 1), found.controllers[1.0, cell.scenario.robot])
         measured = found.table(cell)
         assert not measured["strict"][run]
         for name, column in table.items():

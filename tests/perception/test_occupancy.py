@@ -6,14 +6,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from triform.perception import occupancy_maps
+from triform.perception import map_room, occupancy_maps, occupied_into
 from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig
 
 
-def algorithm_3(ranges: np.ndarray, scan: ScanConfig, config: MapConfig) -> np.ndarray:
+def algorithm_3(
+    ranges: np.ndarray, scan: ScanConfig, config: MapConfig, moved: np.ndarray | None = None
+) -> np.ndarray:
     """Algorithm 3 in SciPy: project, Gaussian over 3 x 3 cells, non-zero to one, drop groups by size."""
     hit = (ranges > 0) & (ranges <= scan.range_max)
     points = ranges[hit, None] * np.stack([np.cos(scan.angles), np.sin(scan.angles)], axis=1)[hit]
+    if moved is not None:
+        axes = np.array([[np.cos(moved[2]), -np.sin(moved[2])], [np.sin(moved[2]), np.cos(moved[2])]])
+        points = (points - moved[:2]) @ axes
     index = np.floor((points + config.half_extent) / config.cell).astype(int)
     index = index[((index >= 0) & (index < config.size)).all(axis=1)]
     grid = np.zeros((config.size, config.size))
@@ -25,6 +30,19 @@ def algorithm_3(ranges: np.ndarray, scan: ScanConfig, config: MapConfig) -> np.n
         if not config.min_cells <= cells.sum() <= config.max_cells:
             binary[cells] = False
     return binary.astype(np.uint8)
+
+
+def seen_from(ranges: np.ndarray, scan: ScanConfig, config: MapConfig, moved: np.ndarray) -> np.ndarray:
+    """The map of a scan for a robot that has moved since."""
+    grid, scratch, cells = map_room(config.size)
+    room = grid.copy()
+    limits = (scan.range_max, config.cell, config.min_cells, config.max_cells)
+    count = occupied_into(ranges, moved, np.cos(scan.angles), np.sin(scan.angles), *limits, grid, scratch, cells)
+    np.testing.assert_array_equal(grid, room)
+    assert len(set(cells[:count].tolist())) == count
+    out = np.zeros(config.size**2, dtype=np.uint8)
+    out[cells[:count]] = 1
+    return out.reshape(config.size, config.size)
 
 
 configs = st.builds(
@@ -62,6 +80,36 @@ def test_equals_scipy_on_scenes_of_arcs_specks_and_walls(seed: int, share_lost: 
     ranges = np.where((wall <= 2.0) & (rng.random() < 0.5), np.minimum(wall, ranges), ranges)
     ranges[rng.random(scan.rays) < share_lost * rng.random()] = np.nan
     np.testing.assert_array_equal(occupancy_maps(Scan(ranges, scan), config), algorithm_3(ranges, scan, config))
+
+
+@settings(deadline=None, max_examples=80)
+@given(st.integers(0, 2**32 - 1), configs, st.floats(0.0, 3.0), st.floats(-10.0, 10.0))
+def test_who_has_moved_sees_the_same_returns_from_there(
+    seed: int, config: MapConfig, way: float, turned: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    scan = ScanConfig(rays=int(rng.integers(1, 200)))
+    ranges = np.where(rng.random(scan.rays) < 0.8, rng.uniform(-0.1, 2.3, scan.rays), np.inf)
+    ranges[rng.random(scan.rays) < 0.05] = np.nan
+    direction = rng.uniform(-np.pi, np.pi)
+    moved = np.array([way * np.cos(direction), way * np.sin(direction), turned])
+    np.testing.assert_array_equal(
+        seen_from(ranges, scan, config, moved), algorithm_3(ranges, scan, config, moved)
+    )
+    at_rest = occupancy_maps(Scan(ranges, scan), config)
+    np.testing.assert_array_equal(seen_from(ranges, scan, config, np.zeros(3)), at_rest)
+
+
+def test_what_is_passed_lies_behind_and_a_left_turn_moves_it_to_the_right() -> None:
+    scan, config = ScanConfig(rays=4, angle_min=0.0), MapConfig(min_cells=0)
+    ahead = np.array([0.51, np.inf, np.inf, np.inf])
+    passed = seen_from(ahead, scan, config, np.array([1.02, 0.0, 0.0]))
+    np.testing.assert_array_equal(np.argwhere(passed).mean(axis=0), [37, 50])
+    turned = seen_from(ahead, scan, config, np.array([0.0, 0.0, np.pi / 2 - 1e-6]))
+    np.testing.assert_array_equal(np.argwhere(turned).mean(axis=0), [50, 37])
+    # The range is that of the scan, wherever the robot is now.
+    far = np.array([2.01, np.inf, np.inf, np.inf])
+    assert not seen_from(far, scan, config, np.array([1.0, 0.0, 0.0])).any()
 
 
 def test_batches_equal_single_scans_and_leave_the_scan_alone() -> None:

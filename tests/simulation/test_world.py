@@ -47,7 +47,7 @@ def _history(world: World, commands: Array, ticks: int = 8) -> list[Array]:
     seen = []
     for _ in range(ticks):
         view = world.observe()
-        seen += [view.poses, view.scans.ranges, world.velocities]
+        seen += [view.poses, view.scans.ranges, world.velocities, view.push, view.moved]
         world.apply(commands, world.control_period)
     return [*seen, world.min_distance, world.collided, world.hit_arena]
 
@@ -92,7 +92,10 @@ def test_a_world_does_not_notice_robots_joining_another() -> None:
         commands = np.pad(_commands(2, 4), ((0, 0), (0, 1), (0, 0)))
         both.apply(commands, 0.125)
         alone.apply(commands[:1, :4], 0.125)
-        np.testing.assert_array_equal(both.observe().scans.ranges[:1, :4], alone.observe().scans.ranges)
+        seen, own = both.observe(), alone.observe()
+        np.testing.assert_array_equal(seen.scans.ranges[:1, :4], own.scans.ranges)
+        np.testing.assert_array_equal(seen.push[:1, :4], own.push)
+        np.testing.assert_array_equal(seen.moved[:1, :4], own.moved)
         np.testing.assert_array_equal(both.poses[:1, :4], alone.poses)
 
 
@@ -218,6 +221,55 @@ def test_robots_join_and_leave() -> None:
         world.add_robot(2, [0.0, 0.0, 0.0])
     with pytest.raises(TriformError, match="three finite numbers"):
         world.add_robot(0, [0.0, np.nan, 0.0])
+
+
+def test_pushes_and_odometry_follow_robots_that_come_and_go() -> None:
+    world = World(starts(3, 2, 8), replace(ROLLING, latency=0.3), seeds=[1, 2])
+    reference = World(starts(3, 1, 8), IDEAL, seeds=[1])
+    commands = np.zeros((2, 3, 3))
+    commands[..., 0] = 0.2
+    for tick in range(12):
+        if tick == 3:
+            assert world.add_robot(0, [4.0, 4.0, 0.5]) == 3
+            commands = np.pad(commands, ((0, 0), (0, 1), (0, 0)))
+        if tick == 6:
+            world.remove_robot(0, 1)
+        if tick == 9:
+            assert world.add_robot(0, [-4.0, 4.0, 0.5]) == 1
+        view = world.observe()
+        shape = (2, 4 if tick >= 3 else 3)
+        assert view.push.shape == (*shape, 2)
+        assert view.moved.shape == (*shape, 3)
+        assert np.isfinite(view.moved).all()
+        assert not view.moved[~view.active].any()
+        # Who is new stands where its first scan will say, and what a robot draws does not hang on the others.
+        if tick in (3, 9):
+            assert not view.moved[0, 3 if tick == 3 else 1].any()
+        np.testing.assert_array_equal(view.push[0, :3], reference.observe().push[0])
+        world.apply(commands, 0.1)
+        reference.apply(np.zeros((1, 3, 3)), 0.1)
+    assert world.observe().moved[0, 0, 0] > 0.0
+    assert len(np.unique([view.push[0, 0, 0], view.push[0, 3, 0], view.push[1, 0, 0]])) == 3
+
+
+def test_pushes_change_every_half_second() -> None:
+    world = World(starts(2, 1, 1), IDEAL, seeds=[4])
+    drawn = []
+    for _ in range(15):
+        drawn.append(world.observe().push[0, 0, 0])
+        world.apply(np.zeros((1, 2, 3)), 0.1)
+    assert len(set(drawn)) == 3
+    assert drawn == sorted(drawn, key=drawn.index)
+    assert [drawn.count(each) for each in dict.fromkeys(drawn)] == [5, 5, 5]
+
+
+def test_a_view_refuses_pushes_and_odometry_of_another_shape() -> None:
+    view = World(starts(2, 1, 1), IDEAL).observe()
+    for name, width in (("push", 2), ("moved", 3)):
+        for shape in ((1, 2, width + 1), (1, 3, width), (2, width)):
+            with pytest.raises(ConfigurationError, match=f"a view has {name} of shape"):
+                replace(view, **{name: np.zeros(shape)})
+        assert getattr(replace(view, **{name: None}), name) is None
 
 
 def test_who_joins_during_a_turn_has_no_past() -> None:

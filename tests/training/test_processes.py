@@ -13,10 +13,10 @@ import pytest
 import safetensors.torch
 import torch
 
-from triform.dataset import QUICK, StateConfig, collect
+from triform.dataset import QUICK, SceneConfig, StateConfig, collect
 from triform.policy import NetworkConfig
 from triform.training import TrainConfig, train
-from triform.training.batches import FreshSource, StoredSource, TrainBatch
+from triform.training.batches import FreshSource, SceneSource, StoredSource, TrainBatch
 from triform.training.processes import Processes
 
 #: 33 and 32 maps: shares of unequal size.
@@ -139,9 +139,12 @@ def maps_of(batch: TrainBatch) -> list[tuple[bytes, bytes, bytes]]:
 
 @pytest.mark.parametrize("count", [2, 3, 11])
 def test_the_shares_of_all_processes_are_the_mini_batch(data: Path, count: int) -> None:
-    for source in (FreshSource(SHARED), StoredSource(SHARED, data)):
+    network = replace(SHARED.network, outputs=4)
+    scenes = replace(SHARED, network=network, scenes=SceneConfig(views=4), teacher="triangulating")
+    for source in (FreshSource(SHARED), StoredSource(SHARED, data), SceneSource(scenes)):
         whole = next(source.batches(2))()
         shares = [next(source.batches(2, Processes(rank, count)))() for rank in range(count)]
         assert {share.maps for share in shares} == {whole.maps} == {len(whole.commands)}
         assert [each for share in shares for each in maps_of(share)] == maps_of(whole)
+        np.testing.assert_array_equal(np.concatenate([share.facts for share in shares]), whole.facts)
         assert sum(int(share.valid.sum()) for share in shares) == int(whole.valid.sum())

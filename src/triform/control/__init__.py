@@ -3,7 +3,9 @@
 from triform.control.expert import EXPERTS, Expert, ExpertVariant, expert_into, expert_variant
 from triform.control.learned import LearnedPolicy
 from triform.control.registry import CONTROLLERS, make_controller, shipped_weights, weights_folder
+from triform.control.safety import Guard, Guarded, reaction_time
 from triform.control.scan_pipeline import ScanPipeline
+from triform.control.talking import TalkingTeam
 from triform.control.teacher import Teacher
 from triform.control.triangulating import Triangulating, TriangulatingLaw
 
@@ -12,14 +14,18 @@ __all__ = [
     "EXPERTS",
     "Expert",
     "ExpertVariant",
+    "Guard",
+    "Guarded",
     "LearnedPolicy",
     "ScanPipeline",
+    "TalkingTeam",
     "Teacher",
     "Triangulating",
     "TriangulatingLaw",
     "expert_into",
     "expert_variant",
     "make_controller",
+    "reaction_time",
     "shipped_weights",
     "weights_folder",
 ]

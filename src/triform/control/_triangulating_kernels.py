@@ -78,7 +78,8 @@ def triangulate(x, y, count, law, linked, terms, facts):  # type: ignore[no-unty
         linked: Room for the Gabriel graph of the points, bool, shape (>= count, >= count); holds it afterwards.
         terms: To fill for every seen robot: what it adds to the velocity by itself (2) [d*/s], whether it is a
             Gabriel neighbour and whether it shares one with this robot, shape (>= count, TERMS).
-        facts: To fill: whether the robot has a bridge, strain, looseness, and the direction of compaction (2), shape (FACTS,).
+        facts: To fill: whether the robot has a bridge, strain, looseness, and the direction of compaction (2), shape
+            (FACTS,).
 
     Returns:
         Mean velocity (v_x, v_y) and the standard deviation along each axis of the random push upon it [d*/s].

@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from triform.control.scan_packer import SCANS_AT_ONCE, ScanPacker
-from triform.policy import PolicyRuntime
+from triform.policy import PolicyRuntime, PolicySpec, describe_network, map_network
 from triform.threads import in_parts
-from triform.types import ConfigurationError, FloatArray, Scan, View
+from triform.types import ConfigurationError, FloatArray, Scan, ScanConfig, View
 
 #: Robots whose commands keep a thread busy for a few milliseconds.
 _ROBOTS_PER_THREAD = 64
 
 
-import os
-
-THR = float(os.environ.get("THR", "0.05"))
-DEAD = float(os.environ.get("DEAD", "0.02"))
+def to_twists(answers: FloatArray, push: FloatArray | None, spec: PolicySpec, scale: float) -> FloatArray:
+    """Body twists (M, 3) of a network's answers (M, 3 or 4), with random pushes (M, 2) and rest, scaled to d*."""
+    twists = answers[:, :3]
+    if answers.shape[1] > 3 and push is not None:
+        amplitude = answers[:, 3:]
+        twists[:, :2] += np.where(amplitude > spec.least_push, amplitude, 0.0) * push
+    if spec.rest_speed > 0.0:
+        twists[np.hypot(twists[:, 0], twists[:, 1]) < spec.rest_speed] = 0.0
+    twists[:, :2] *= scale
+    return twists
 
 
 class LearnedPolicy:
-    """Scan -> occupancy map -> network -> body twist, the same for every robot; a ``Controller[View]``."""
+    """Scan -> occupancy map -> network -> body twist, the same for every robot; a ``Controller[View]``.
+
+    A policy that learned the triangulating law gives a mean velocity and the amplitude of a random push upon it, which
+    the robot's own generator draws. All lengths scale with the prescribed distance.
+    """
 
     privileged = False
 
@@ -35,21 +44,20 @@ class LearnedPolicy:
             distance: Prescribed neighbour distance d* [m].
 
         Raises:
-            ConfigurationError: If the policy was trained for another distance.
+            ConfigurationError: If the policy was not trained for the distance, or does not give body twists.
         """
-        if distance != runtime.spec.distance:
+        spec = runtime.spec
+        self._scale = spec.scale(distance)
+        if spec.network.outputs not in (3, 4):
             raise ConfigurationError(
-                f"the policy in {runtime.folder} was trained for a distance of {runtime.spec.distance} m, "
-                f"not {distance} m"
-            )
-        network = runtime.spec.network
-        if network.outputs not in (3, 4):
-            raise ConfigurationError(
-                f"the policy in {runtime.folder} gives {network.outputs} numbers, not a body twist with or without the "
-                "amplitude of a push"
+                f"the policy in {runtime.folder} gives {spec.network.outputs} numbers, not a body twist with or "
+                "without the amplitude of a push"
             )
         self._runtime = runtime
-        self._spec = runtime.spec
+        self._spec = spec
+        self._network = map_network(spec.network)
+        self._distance = distance
+        self._scan: ScanConfig | None = None
         self._packer: ScanPacker | None = None
 
     @property
@@ -59,8 +67,8 @@ class LearnedPolicy:
             "name": "policy",
             "weights": self._runtime.folder.name,
             "weights_sha256": self._spec.weights_sha256,
-            "distance": self._spec.distance,
-            "network": asdict(self._spec.network),
+            "distance": self._distance,
+            "network": describe_network(self._spec.network),
         }
 
     def command(self, view: View) -> FloatArray:
@@ -81,12 +89,7 @@ class LearnedPolicy:
             for begin in range(first, last, SCANS_AT_ONCE):
                 some = robots[begin : min(begin + SCANS_AT_ONCE, last)]
                 answers = self._runtime.commands(packer.pack(ranges[some], None if moved is None else moved[some]))
-                flat[some] = answers[:, :3]
-                if answers.shape[1] > 3 and push is not None:
-                    amplitude = answers[:, 3:]
-                    flat[some, :2] += np.where(amplitude > THR, amplitude, 0.0) * push[some]
-                speed = np.linalg.norm(flat[some, :2], axis=1)
-                flat[some] *= (speed > DEAD)[:, None]
+                flat[some] = to_twists(answers, None if push is None else push[some], self._spec, self._scale)
 
         in_parts(drive, len(robots), len(robots), _ROBOTS_PER_THREAD)
         return commands
@@ -94,8 +97,9 @@ class LearnedPolicy:
     def _packer_for(self, scans: Scan) -> ScanPacker:
         """The packer for scans of this configuration, made when the first one comes."""
         packer = self._packer
-        if packer is None or packer.scan != scans.config:
-            self._spec.check_scan(scans)
-            network = self._spec.network
-            packer = self._packer = ScanPacker(scans.config, self._spec.map, network.patch, network.attention)
+        if packer is None or self._scan != scans.config:
+            used, map_config = self._spec.views(scans.config, self._distance)
+            network = self._network
+            packer = self._packer = ScanPacker(used, map_config, network.patch, network.attention)
+            self._scan = scans.config
         return packer

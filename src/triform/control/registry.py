@@ -6,15 +6,19 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from triform.control.detection import ROBOMASTER_EP_SIZE
 from triform.control.expert import EXPERTS, Expert
 from triform.control.learned import LearnedPolicy
 from triform.control.scan_pipeline import ScanPipeline
+from triform.control.talking import TalkingTeam
 from triform.control.triangulating import Triangulating
-from triform.policy import PolicyRuntime
+from triform.policy import PolicyRuntime, TeamRuntime
 from triform.types import ConfigurationError, Controller
 
-CONTROLLERS = ("policy", *EXPERTS, "triangulating", "scan-pipeline")
+CONTROLLERS = ("policy", *EXPERTS, "triangulating", "scan-pipeline", "scan-triangulating", "gnn")
 DEFAULT_WEIGHTS = "default"
+#: Controllers with weights, and those that each takes if none are named.
+WITH_WEIGHTS = {"policy": DEFAULT_WEIGHTS, "gnn": "gnn"}
 
 
 def shipped_weights() -> dict[str, Path]:
@@ -23,40 +27,57 @@ def shipped_weights() -> dict[str, Path]:
     return {folder.name: folder for folder in sorted(root.iterdir()) if folder.is_dir()} if root.is_dir() else {}
 
 
-def weights_folder(weights: str | None) -> Path:
-    """Folder of the policy called ``weights``: a shipped name or a path; the default policy if ``None``.
+def weights_folder(weights: str | None, controller: str = "policy") -> Path:
+    """Folder of the policy called ``weights``: a shipped name or a path; the controller's default one if ``None``.
 
     Raises:
         ConfigurationError: If there is no such policy.
     """
     shipped = shipped_weights()
-    name = weights or DEFAULT_WEIGHTS
+    name = weights or WITH_WEIGHTS[controller]
     folder = shipped.get(name, Path(name))
     if not folder.exists():
         raise ConfigurationError(f"there is no policy {name!r}: it is neither a folder nor one of {', '.join(shipped)}")
     return folder
 
 
-def make_controller(name: str, distance: float = 1.0, weights: str | None = None, threads: int = 1) -> Controller[Any]:
+def make_controller(
+    name: str,
+    distance: float = 1.0,
+    weights: str | None = None,
+    threads: int = 1,
+    footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE,
+) -> Controller[Any]:
     """Make a controller.
 
     Args:
         name: One of ``CONTROLLERS``.
         distance: Prescribed neighbour distance d* [m].
-        weights: For ``policy``: a shipped policy's name or a folder; the default policy if ``None``.
-        threads: For ``policy``: threads of one call of the network, see ``PolicyRuntime``.
+        weights: For ``policy`` and ``gnn``: a shipped policy's name or a folder; the default one if ``None``.
+        threads: For these: threads of one call of the network, see ``PolicyRuntime``.
+        footprint: For those that are told it, the outline of the robots: length and width of a box, or the diameter of
+            a circle [m].
 
     Raises:
         ConfigurationError: If there is no such controller, or it cannot be made with these settings.
     """
     if name not in CONTROLLERS:
         raise ConfigurationError(f"there is no controller {name!r}; there are {', '.join(CONTROLLERS)}")
-    if weights is not None and name != "policy":
-        raise ConfigurationError(f"the controller {name!r} has no weights; they belong to 'policy'")
+    if weights is not None and name not in WITH_WEIGHTS:
+        raise ConfigurationError(f"the controller {name!r} has no weights; they belong to {' and '.join(WITH_WEIGHTS)}")
     if name == "policy":
         return LearnedPolicy(PolicyRuntime(weights_folder(weights), threads), distance)
+    if name == "gnn":
+        return TalkingTeam(TeamRuntime(weights_folder(weights, name), threads), distance, _blocking_radius(footprint))
     if name in EXPERTS:
         return Expert.named(name, distance)
     if name == "triangulating":
         return Triangulating(distance)
-    return ScanPipeline(distance)
+    return ScanPipeline(
+        distance, footprint=footprint, law="triangulating" if name == "scan-triangulating" else "springs"
+    )
+
+
+def _blocking_radius(footprint: tuple[float, float] | float) -> float:
+    """Radius of the disc for which a robot of this outline blocks sight [m]: half its mean width."""
+    return sum(footprint) / 4 if isinstance(footprint, tuple) else footprint / 2

@@ -36,10 +36,10 @@ def _pack_scans(  # type: ignore[no-untyped-def]
     positions,
     counts,
 ):
-    """Fill ``patches``, ``positions`` and ``counts`` from ``ranges`` (M, R), seen from where robots
-    have ``moved`` to since (M, 3); return the number of patches.
+    """Fill ``patches``, ``positions`` and ``counts`` from ``ranges`` (M, R); return the number of patches.
 
-    The other arguments are those of ``occupied_into`` and ``append_patches``.
+    Robots see from where they have ``moved`` to since, (M, 3). The other arguments are those of ``occupied_into`` and
+    ``append_patches``.
     """
     token = 0
     for m in range(ranges.shape[0]):

@@ -48,15 +48,25 @@ def _spring_command(centres, count, distance, gain, max_speed, out):  # type: ig
 
 
 @njit(cache=True, nogil=True)
+def _shift(centres, count, moved):  # type: ignore[no-untyped-def]
+    """Give ``count`` centres as seen from where the robot has ``moved`` to since its scan, shape (3,)."""
+    cos, sin = np.cos(moved[2]), np.sin(moved[2])
+    for j in range(count):
+        x, y = centres[j, 0] - moved[0], centres[j, 1] - moved[1]
+        centres[j, 0], centres[j, 1] = cos * x + sin * y, cos * y - sin * x
+
+
+@njit(cache=True, nogil=True)
 def _command_robots(  # type: ignore[no-untyped-def]
-    ranges, active, footprint, directions, angle_min, range_max, distance, gain, max_speed, out, first, last
+    ranges, active, moved, footprint, directions, angle_min, range_max, distance, gain, max_speed, out, first, last
 ):
-    """Write the body twists (M, 3) of the robots ``first <= m < last`` from their scans (M, R)."""
+    """Write the body twists (M, 3) of the robots ``first <= m < last`` from their scans (M, R) and odometry (M, 3)."""
     centres = np.empty((most_robots(ranges.shape[1]), 2))
     for m in range(first, last):
         out[m] = 0.0
         if active[m]:
             count = detect_into(ranges[m], footprint, directions, angle_min, range_max, centres)
+            _shift(centres, count, moved[m])
             _spring_command(centres, count, distance, gain, max_speed, out[m])
 
 
@@ -81,7 +91,7 @@ def _triangulating_command(centres, count, distance, law, max_speed, push, room,
 
 @njit(cache=True, nogil=True)
 def _triangulate_robots(  # type: ignore[no-untyped-def]
-    ranges, active, footprint, directions, angle_min, range_max, distance, law, max_speed, push, out, first, last
+    ranges, active, moved, footprint, directions, angle_min, range_max, distance, law, max_speed, push, out, first, last
 ):
     """As ``_command_robots`` by the triangulating law, with random pushes of shape (M, 2)."""
     points = most_robots(ranges.shape[1]) + 1
@@ -94,6 +104,7 @@ def _triangulate_robots(  # type: ignore[no-untyped-def]
         out[m] = 0.0
         if active[m]:
             count = detect_into(ranges[m], footprint, directions, angle_min, range_max, centres)
+            _shift(centres, count, moved[m])
             _triangulating_command(centres, count, distance, law, max_speed, push[m], room, out[m])
 
 
@@ -164,7 +175,8 @@ class ScanPipeline:
         scan = view.scans
         ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
         active = view.active.reshape(-1)
-        sight = (self._footprint, ray_directions(scan), scan.config.angle_min)
+        moved = np.zeros((len(ranges), 3)) if view.moved is None else np.ascontiguousarray(view.moved).reshape(-1, 3)
+        sight = (moved, self._footprint, ray_directions(scan), scan.config.angle_min)
         out = np.empty((len(ranges), 3))
         if self._triangulating is None:
             seen = (ranges, active, *sight, scan.config.range_max)

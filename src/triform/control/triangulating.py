@@ -23,8 +23,8 @@ BLOCKING_RADIUS = 0.14
 class TriangulatingLaw:
     """Constants of the law; lengths in d*, speeds in d*/s, gains in 1/s, angles in rad. See docs/method.md.
 
-    The *strain* of an edge is its length minus 1. A *bridge* is an edge to a Gabriel neighbour with whom the robot shares
-    no other: an edge without a triangle.
+    The *strain* of an edge is its length minus 1. A *bridge* is an edge to a Gabriel neighbour with whom the robot
+    shares no other: an edge without a triangle.
 
     Attributes:
         sight: Farther robots are not seen.

@@ -5,11 +5,13 @@ from __future__ import annotations
 from triform.dataset.collect import Progress, collect
 from triform.dataset.configuration import PAPER, PRESETS, QUICK, CollectionConfig
 from triform.dataset.fresh import FreshBatch, StateConfig, draw_fresh
+from triform.dataset.inputs import fresh_inputs
 from triform.dataset.manifest import MANIFEST, Manifest, Shard, load_manifest
 from triform.dataset.neighbours import COLUMNS, neighbours
 from triform.dataset.reader import Demonstrations, Split
 from triform.dataset.records import Records
 from triform.dataset.scenes import SceneConfig, Views, draw_views
+from triform.dataset.teams import TeamLabels, TeamStates, draw_states, label_states
 from triform.dataset.visited import VisitedStates, joined
 
 __all__ = [
@@ -28,12 +30,17 @@ __all__ = [
     "Shard",
     "Split",
     "StateConfig",
+    "TeamLabels",
+    "TeamStates",
     "Views",
     "VisitedStates",
     "collect",
     "draw_fresh",
+    "draw_states",
     "draw_views",
+    "fresh_inputs",
     "joined",
+    "label_states",
     "load_manifest",
     "neighbours",
 ]

@@ -1,8 +1,8 @@
-"""Fresh views for learning the triangulating law: who stands where, what one robot's scan shows of it, and what the law does.
+"""Fresh views for learning the triangulating law: who stands where, what a scan shows of it, and what the law does.
 
 Everything is in units of the prescribed distance d*, so that one policy serves all distances: a robot of 0.32 m is 0.53
-long where d* is 0.6 m, and 0.21 where it is 1.5 m. Positions come from states that teams have visited, or are placed at random;
-sensor, footprint, walls and pillars are drawn anew for every state.
+long where d* is 0.6 m, and 0.21 where it is 1.5 m. Positions come from states that teams have visited, or are placed
+at random; sensor, footprint, walls and pillars are drawn anew for every state.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _place(rng, robots, positions):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _draw_body(rng, usual, distances, ep):  # type: ignore[no-untyped-def]
+def draw_body(rng, usual, distances, ep):  # type: ignore[no-untyped-def]
     """Draw d* [m] and the outline of all robots in units of it: (d*, (half length, half width, round))."""
     distance = 1.0
     if rng.random() < 0.5:
@@ -134,6 +134,42 @@ def _draw_body(rng, usual, distances, ep):  # type: ignore[no-untyped-def]
             half_length = 0.10 + 0.12 * rng.random()
             half_width = half_length * (0.6 + 0.4 * rng.random())
     return distance, (half_length / distance, half_width / distance, round_)
+
+
+@njit(cache=True, nogil=True)
+def draw_positions(rng, visited, offsets, placed, sizes, jitter, team):  # type: ignore[no-untyped-def]
+    """Write the positions of a random state into the front of ``team`` (longest, 2); returns the number of robots.
+
+    A placement that found no place gives no robot. Arguments are those of ``_draw_views``.
+    """
+    if offsets.shape[0] == 1 or rng.random() < placed:
+        robots = sizes[0] + int(rng.random() * (sizes[1] - sizes[0] + 1))
+        return robots if _place(rng, robots, team) else 0
+    state = int(rng.random() * (offsets.shape[0] - 1))
+    robots = offsets[state + 1] - offsets[state]
+    deviation = jitter[int(rng.random() * jitter.shape[0])]
+    for k in range(robots):
+        for axis in range(2):
+            team[k, axis] = visited[offsets[state] + k, axis] + deviation * rng.standard_normal()
+    return robots
+
+
+@njit(cache=True, nogil=True)
+def longest_team(offsets, sizes):  # type: ignore[no-untyped-def]
+    """Robots of the largest team that ``draw_positions`` can write."""
+    longest = sizes[1]
+    for e in range(offsets.shape[0] - 1):
+        longest = max(longest, offsets[e + 1] - offsets[e])
+    return longest
+
+
+@njit(cache=True, nogil=True)
+def label_room(longest):  # type: ignore[no-untyped-def]
+    """Working room of ``label_robot`` for teams of up to ``longest`` robots."""
+    return (
+        np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest),
+        np.empty((longest, longest), dtype=np.bool_), np.empty((longest, TERMS)),
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
@@ -174,7 +210,7 @@ def _draw_pillar(rng, positions, pillar):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _label(positions, i, heading, law, blocking, max_speed, room, command, seen, facts):  # type: ignore[no-untyped-def]
+def label_robot(positions, i, heading, law, blocking, max_speed, room, command, seen, facts):  # type: ignore[no-untyped-def]
     """Write what the law does for robot i and what it sees, in its body frame; arguments as ``Views`` has them."""
     x, y, all_x, all_y, linked, terms = room
     # A robot is seen as long as its near side is within range.
@@ -208,40 +244,29 @@ def _draw_views(  # type: ignore[no-untyped-def]
     rng, visited, offsets, placed, sizes, jitter, distances, usual, ep, noisy, noise, dropping, dropout, walled,
     pillared, views, max_speed, law, scan, cell, min_cells, max_cells, maps, commands, seen, facts
 ):  # fmt: skip
-    """Fill ``maps``, ``commands``, ``seen`` and ``facts``, see ``Views``; other arguments as ``draw_views`` and
-    ``SceneConfig`` have them, ``visited`` positions (K, 2) of states that begin at ``offsets`` (E + 1,).
+    """Fill ``maps``, ``commands``, ``seen`` and ``facts`` of ``Views``.
+
+    Other arguments are those of ``draw_views`` and ``SceneConfig``; the states with positions ``visited`` (K, 2) begin
+    at ``offsets`` (E + 1,).
     """
     size = maps.shape[1]
     _, _, range_max, cos_rays, sin_rays = scan
-    longest = sizes[1]
-    for e in range(offsets.shape[0] - 1):
-        longest = max(longest, offsets[e + 1] - offsets[e])
+    longest = longest_team(offsets, sizes)
     team = np.empty((longest, 2))
     poses, axes = np.empty((longest, 3)), np.empty((longest, 2))
     active = np.ones(longest, dtype=np.bool_)
-    room = (
-        np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest),
-        np.empty((longest, longest), dtype=np.bool_), np.empty((longest, TERMS)),
-    )  # fmt: skip
+    room = label_room(longest)
     ranges = np.empty(cos_rays.shape[0])
     walls, pillars = np.empty((4, 4)), np.empty((1, 3))
     at_rest = np.zeros(3)
     grid, scratch, cells = map_room(size)
     m = 0
     while m < maps.shape[0]:
-        if offsets.shape[0] == 1 or rng.random() < placed:
-            robots = sizes[0] + int(rng.random() * (sizes[1] - sizes[0] + 1))
-            if not _place(rng, robots, team):
-                continue
-        else:
-            state = int(rng.random() * (offsets.shape[0] - 1))
-            robots = offsets[state + 1] - offsets[state]
-            deviation = jitter[int(rng.random() * jitter.shape[0])]
-            for k in range(robots):
-                for axis in range(2):
-                    team[k, axis] = visited[offsets[state] + k, axis] + deviation * rng.standard_normal()
+        robots = draw_positions(rng, visited, offsets, placed, sizes, jitter, team)
+        if robots == 0:
+            continue
         positions = team[:robots]
-        distance, body = _draw_body(rng, usual, distances, ep)
+        distance, body = draw_body(rng, usual, distances, ep)
         blocking = body[0] if body[2] else (body[0] + body[1]) / 2.0
         sigma = noise * rng.random() / distance if rng.random() < noisy else 0.0
         lost = dropout * rng.random() if rng.random() < dropping else 0.0
@@ -278,7 +303,7 @@ def _draw_views(  # type: ignore[no-untyped-def]
             )
             for q in range(kept):
                 maps[m, cells[q] // size, cells[q] % size] = 1
-            _label(poses[:near], 0, poses[0, 2], law, blocking, max_speed, room, commands[m], seen[m], facts[m])
+            label_robot(poses[:near], 0, poses[0, 2], law, blocking, max_speed, room, commands[m], seen[m], facts[m])
             m += 1
 
 

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from triform.control.registry import weights_folder
+from triform.control.registry import WITH_WEIGHTS, weights_folder
 from triform.engines import Engine, Report, Task
 from triform.evaluation.metrics import RunTable, concatenate
 from triform.evaluation.scenario import Scenario, chunks, world_seeds
@@ -33,9 +33,9 @@ class PortableController:
         self.controller = controller or scenario.make_controller()
 
     def __reduce__(self) -> tuple[Callable[..., PortableController], tuple[Any, ...]]:
-        if self._scenario.controller != "policy":
+        if self._scenario.controller not in WITH_WEIGHTS:
             return PortableController, (self._scenario,)
-        folder = weights_folder(self._scenario.weights)
+        folder = weights_folder(self._scenario.weights, self._scenario.controller)
         files = {name: (folder / name).read_bytes() for name in (SPEC_FILE, WEIGHTS_FILE, ONNX_FILE)}
         return _unpacked, (self._scenario, files)
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from triform.control import make_controller
+from triform.control import Guard, Guarded, make_controller, reaction_time
 from triform.engines import Engine, EngineName, check_engine, open_engine
 from triform.evaluation.metrics import WINDOW, RunTable, measure
 from triform.evaluation.placement import blocked_starts
@@ -30,8 +30,8 @@ class Scenario:
 
     Attributes:
         controller: Name of the controller, one of triform.control.CONTROLLERS: policy, expert, expert-sensed,
-            expert-odd, triangulating or scan-pipeline.
-        weights: Weights of the policy: a name of shipped ones or a checkpoint; the default ones if omitted.
+            expert-odd, triangulating, scan-pipeline, scan-triangulating or gnn.
+        weights: Weights of policy or gnn: a name of shipped ones or a checkpoint; the default ones if omitted.
         profile: Name of the robot profile: ideal or hardware.
         arena: Name of the arena: open, room-6 or pillars.
         distance: Prescribed neighbour distance d* [m]. A robot sees as far as 2 d*, and starts grow with d*.
@@ -45,6 +45,8 @@ class Scenario:
         speed_limit: Largest speed of the base [m/s]; the profile's if omitted.
         footprint: Name of the robots' outline: ep, engineer, circle-5, circle-10, circle-15, circle-20 or box-30; the
             profile's if omitted.
+        odometry: Whether robots know from their wheels how far they have come since their scans.
+        guard: Whether a layer between controller and wheels keeps robots from driving into what their scans show.
     """
 
     controller: str = "policy"
@@ -60,6 +62,8 @@ class Scenario:
     latency: float | None = None
     speed_limit: float | None = None
     footprint: str | None = None
+    odometry: bool = True
+    guard: bool = True
 
     def __post_init__(self) -> None:
         farthest = LIDAR_REACH / SENSING_RANGE
@@ -84,7 +88,8 @@ class Scenario:
     @property
     def robot(self) -> Profile:
         """The robots as they are run: their profile under the scenario's conditions, seeing 2 d* far."""
-        return self.conditions.applied_to(get_profile(self.profile), self.distance)
+        robot = self.conditions.applied_to(get_profile(self.profile), self.distance)
+        return robot if self.odometry else replace(robot, odometry=False)
 
     @property
     def surroundings(self) -> Arena:
@@ -97,12 +102,19 @@ class Scenario:
         return control_steps(self.duration, self.robot.control_period)
 
     def make_controller(self) -> Controller[PrivilegedView]:
-        """Make the controller.
+        """Make the controller, guarded if so asked.
 
         Raises:
             TriformError: There is no such controller, or its weights cannot be used.
         """
-        return make_controller(self.controller, distance=self.distance, weights=self.weights)
+        robot = self.robot
+        drive, lidar = robot.drive, robot.lidar
+        controller = make_controller(self.controller, self.distance, self.weights, footprint=robot.footprint.size)
+        if not self.guard:
+            return controller
+        reaction = reaction_time(robot.control_period, lidar.period, robot.latency, lidar.rolling, drive.lag)
+        limits = {"max_speed": drive.max_speed, "max_axis_speed": drive.max_axis_speed}
+        return Guarded(controller, Guard(robot.footprint.size, reaction=reaction, **limits))
 
     def draw_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
         """Return random starts (runs, robots, 3) for the prescribed distance, as ``triform.simulation.starts``."""

@@ -37,11 +37,13 @@ from triform.evaluation.tables import (
     rich_table,
     write_parquet,
 )
+from triform.simulation import Profile
 from triform.threads import limit_threads
 from triform.types import BoolArray, ConfigurationError, Controller, PrivilegedView, TriformError
 
 #: Name of all files but the drawing of failed runs.
 _NAME = "conditions"
+_Kind = tuple[float, Profile]
 #: Columns of the table of runs that say which cell a run belongs to.
 _KEYS = ("condition", "label", "team", "settings")
 #: Columns of the page that a terminal has no room for.
@@ -63,21 +65,26 @@ class CellRuns:
     count: int
 
 
+def _kind(cell: Cell) -> _Kind:
+    """What a controller must be made for: the prescribed distance [m] and the robots."""
+    return cell.scenario.distance, cell.scenario.robot
+
+
 @dataclass(frozen=True)
 class MeasureCells:
     """The task of a sweep.
 
     Attributes:
         config: What all cells have in common.
-        portables: The controller for every prescribed distance [m].
+        portables: The controllers, each for its kind of cells.
     """
 
     config: ConditionsConfig
-    portables: dict[float, PortableController]
+    portables: dict[_Kind, PortableController]
 
     def __call__(self, runs: CellRuns, report: Report) -> RunTable:
         """One row per run; reports robots at the start times control periods."""
-        controller = self.portables[runs.cell.scenario.distance].controller
+        controller = self.portables[_kind(runs.cell)].controller
         return run_cell(self.config, runs, controller, report)[1]
 
 
@@ -129,7 +136,7 @@ class ConditionSweep:
             TriformError: No cell that was asked for can be run, or the folder holds something else.
         """
         self.config = config
-        self.controllers: dict[float, Controller[PrivilegedView]] = {}
+        self.controllers: dict[_Kind, Controller[PrivilegedView]] = {}
         self.cells: list[Cell] = []
         self.skipped: dict[str, str] = {}
         self._settings: dict[Cell, dict[str, Any]] = {}
@@ -179,8 +186,7 @@ class ConditionSweep:
             for cell in waiting.values()
         ]
         portables = {
-            cell.scenario.distance: PortableController(cell.scenario, self.controllers[cell.scenario.distance])
-            for cell in waiting.values()
+            _kind(cell): PortableController(cell.scenario, self.controllers[_kind(cell)]) for cell in waiting.values()
         }
         for number, tables in by_group(MeasureCells(self.config, portables), groups, engine, on_step):
             digest, cell = list(waiting.items())[number]
@@ -222,15 +228,15 @@ class ConditionSweep:
         for _, cell, index in sorted(failing.values(), key=lambda entry: entry[0])[: self.config.failures]:
             scenario = cell.scenario
             run = int(self.table(cell)["run"][index])
-            trajectory, _ = run_cell(self.config, CellRuns(cell, run, 1), self.controllers[scenario.distance])
+            trajectory, _ = run_cell(self.config, CellRuns(cell, run, 1), self.controllers[_kind(cell)])
             scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
             drawn.append(FailedRun(trajectory, scene, f"{cell.name}, run {run}"))
         return drawn
 
     def _take(self, cell: Cell, known: dict[str, RunTable]) -> None:
         scenario = cell.scenario
-        if scenario.distance not in self.controllers:
-            self.controllers[scenario.distance] = scenario.make_controller()
+        if _kind(cell) not in self.controllers:
+            self.controllers[_kind(cell)] = scenario.make_controller()
         settings = self._describe(cell)
         digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
         if digest in known:
@@ -242,7 +248,7 @@ class ConditionSweep:
 
     def _describe(self, cell: Cell) -> dict[str, Any]:
         """Return all that decides about the runs of a cell as plain JSON values, equal for cells that run the same."""
-        described = describe(cell.scenario, self.controllers[cell.scenario.distance])
+        described = describe(cell.scenario, self.controllers[_kind(cell)])
         chosen = ("controller_description", "profile_description", "arena", "distance", "duration")
         settings = {name: described[name] for name in chosen}
         settings |= {"robots": cell.robots, "runs": self.config.runs, "seed": self.config.seed}

@@ -1,21 +1,43 @@
 """Networks and nothing else: their shape, packing, checkpoints and the run-time without PyTorch.
 
-The modules ``vit``, ``weights`` and ``export``, which need PyTorch, and ``graph``, which needs ONNX, are imported by
-name where they are needed, so that this package loads without either.
+The modules ``network``, ``vit``, ``cnn``, ``gnn``, ``kinds``, ``weights`` and ``export``, which need PyTorch, and
+``graph``, ``cnn_graph`` and ``gnn_graph``, which need ONNX, are imported by name where they are needed, so that this
+package loads without either.
 """
 
 from triform.policy.checkpoint import PolicySpec, read_spec
-from triform.policy.config import NetworkConfig
+from triform.policy.config import (
+    CnnConfig,
+    GnnConfig,
+    MapNetwork,
+    Network,
+    NetworkConfig,
+    describe_network,
+    map_network,
+    vit_network,
+)
 from triform.policy.packing import Keep, PackedMaps, append_patches, pack
 from triform.policy.runtime import PolicyRuntime
+from triform.policy.team_runtime import TeamRuntime
+from triform.policy.teams import TeamGraph, hear
 
 __all__ = [
+    "CnnConfig",
+    "GnnConfig",
     "Keep",
+    "MapNetwork",
+    "Network",
     "NetworkConfig",
     "PackedMaps",
     "PolicyRuntime",
     "PolicySpec",
+    "TeamGraph",
+    "TeamRuntime",
     "append_patches",
+    "describe_network",
+    "hear",
+    "map_network",
     "pack",
     "read_spec",
+    "vit_network",
 ]

@@ -7,13 +7,14 @@ with. Nothing is ever unpickled.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+import math
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from triform.files import sha256
-from triform.policy.config import NetworkConfig
-from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig, TriformError, require
+from triform.policy.config import Network, describe_network, read_network
+from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError, require
 
 _FORMAT = "triform-policy"
 _VERSION = 1
@@ -29,20 +30,27 @@ class PolicySpec:
     """What a policy is and what it was trained with.
 
     Attributes:
-        network: Shape of the network.
+        network: Kind and shape of the network.
         scan: The LiDAR of its training.
         map: The occupancy map of its training.
-        distance: Prescribed neighbour distance d* of its training [m].
+        distance: Prescribed neighbour distance d* of its training [m], for which ``scan`` and ``map`` hold.
+        distances: Least and largest d* for which it was trained [m], if not for one alone: lengths and speeds are then
+            those of ``distance``, and are scaled to another d*.
+        rest_speed: Slower commands, random push included, are none [m/s].
+        least_push: Smaller amplitudes of the random push are none [m/s].
         training: How it was trained, for the record: preset, teacher, seed, maps.
         weights_sha256: Checksum of the weights that belong to this description.
         onnx_sha256: Checksum of the exported graph; empty before the export.
         precision: Numbers in which the exported graph computes its linear layers.
     """
 
-    network: NetworkConfig
+    network: Network
     scan: ScanConfig
     map: MapConfig
     distance: float = 1.0
+    distances: tuple[float, float] | None = None
+    rest_speed: float = 0.0
+    least_push: float = 0.0
     training: dict[str, Any] = field(default_factory=dict)
     weights_sha256: str = ""
     onnx_sha256: str = ""
@@ -51,37 +59,61 @@ class PolicySpec:
     def __post_init__(self) -> None:
         require(
             self.network.fits(self.map),
-            f"the network reads maps of {self.network.map_size} cells, the map configuration has {self.map.size}",
+            f"the network reads maps of another size than the {self.map.size} cells of the map configuration",
         )
         require(
             self.precision in get_args(Precision),
             f"precision is {self.precision!r}; it must be {' or '.join(get_args(Precision))}",
         )
+        if self.distances is not None:
+            low, high = self.distances
+            require(
+                0 < low <= self.distance <= high < math.inf,
+                f"distances {low} m to {high} m must hold the distance {self.distance} m",
+            )
+        for name in ("rest_speed", "least_push"):
+            value = getattr(self, name)
+            require(0 <= value < math.inf, f"{name} is {value} m/s; it must be finite and not negative")
 
-    def check_scan(self, scan: Scan) -> None:
-        """Refuse scans that make other maps than those of the training.
-
-        What enters the network is the map, so the range must be that of the training, and neighbouring rays at
-        that range must lie no more than a cell apart; given that, their number is free.
+    def scale(self, distance: float) -> float:
+        """Lengths for d* = ``distance`` [m] over those of the training.
 
         Raises:
-            ConfigurationError: If the scan does not fit.
+            ConfigurationError: If the policy was not trained for it.
         """
-        given = scan.config
-        if given.range_max != self.scan.range_max:
+        low, high = self.distances or (self.distance, self.distance)
+        if not low <= distance <= high:
+            trained = f"distances of {low} m to {high} m" if low < high else f"a distance of {low} m"
+            raise ConfigurationError(f"this policy was trained for {trained}, not {distance} m")
+        return distance / self.distance
+
+    def views(self, scan: ScanConfig, distance: float) -> tuple[ScanConfig, MapConfig]:
+        """What the policy uses of a scan, and the map that it makes of it, for d* = ``distance`` [m].
+
+        It uses the range of its training, scaled to d*, so the LiDAR must reach at least as far; neighbouring rays at
+        that range must lie no more than a cell apart. Given that, their number is free.
+
+        Raises:
+            ConfigurationError: If the scan or the distance does not fit.
+        """
+        scale = self.scale(distance)
+        reach, cell = scale * self.scan.range_max, scale * self.map.cell
+        if scan.range_max < reach - 1e-9:
             raise ConfigurationError(
-                f"the policy was trained with a sensing range of {self.scan.range_max} m; "
-                f"this scan has range_max {given.range_max} m"
+                f"the policy needs a sensing range of {reach:g} m for a distance of {distance:g} m; this scan has "
+                f"range_max {scan.range_max:g} m"
             )
-        if given.angle_increment * given.range_max > self.map.cell and given.rays < self.scan.rays:
+        if scan.angle_increment * reach > cell and scan.rays < self.scan.rays:
             raise ConfigurationError(
-                f"the policy was trained with {self.scan.rays} rays and cells of {self.map.cell} m; this scan has "
-                f"{given.rays} rays, which lie more than a cell apart at {given.range_max} m"
+                f"the policy was trained with {self.scan.rays} rays and makes cells of {cell:g} m; this scan has "
+                f"{scan.rays} rays, which lie more than a cell apart at {reach:g} m"
             )
+        return replace(scan, range_max=reach), replace(self.map, cell=cell)
 
     def to_json(self) -> str:
         """Serialise to JSON."""
-        return json.dumps({"format": _FORMAT, "version": _VERSION, **asdict(self)}, indent=2) + "\n"
+        described = {**asdict(self), "network": describe_network(self.network)}
+        return json.dumps({"format": _FORMAT, "version": _VERSION, **described}, indent=2) + "\n"
 
     @classmethod
     def from_json(cls, text: str, source: str) -> PolicySpec:
@@ -98,15 +130,23 @@ class PolicySpec:
             if version != _VERSION:
                 raise TriformError(f"{source} has format version {version}; this release reads version {_VERSION}")
             return cls(
-                network=NetworkConfig(**data.pop("network")),
+                network=read_network(data.pop("network")),
                 scan=ScanConfig(**data.pop("scan")),
                 map=MapConfig(**data.pop("map")),
+                distances=_pair(data.pop("distances", None)),
                 **data,
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             if isinstance(error, TriformError):
                 raise
             raise TriformError(f"{source} is not a readable policy description: {error}") from error
+
+
+def _pair(values: list[float] | None) -> tuple[float, float] | None:
+    if values is None:
+        return None
+    low, high = values
+    return low, high
 
 
 def read_spec(folder: Path) -> PolicySpec:

@@ -13,12 +13,14 @@ from onnxruntime.quantization import QuantType, quantize_dynamic
 
 from triform.files import cannot_write, make_folder, sha256, write_together
 from triform.policy.checkpoint import ONNX_FILE, SPEC_FILE, WEIGHTS_FILE, PolicySpec, Precision, read_weights
-from triform.policy.graph import build_graph
-from triform.policy.packing import pack
+from triform.policy.config import map_network
+from triform.policy.kinds import network_inputs, write_graph
+from triform.policy.packing import PackedMaps, pack
 from triform.policy.runtime import PolicyRuntime
-from triform.policy.vit import token_batch
+from triform.policy.team_runtime import TeamRuntime
+from triform.policy.teams import TeamGraph
 from triform.policy.weights import load_policy
-from triform.types import MapArray, TriformError
+from triform.types import FloatArray, MapArray, TriformError
 
 #: Largest difference of a command from PyTorch's [m/s or rad/s]; of 8-bit numbers, the largest mean difference.
 TOLERANCE: dict[Precision, float] = {"float32": 1e-4, "int8": 2e-2}
@@ -38,7 +40,7 @@ class Difference:
 
 
 def export_policy(
-    folder: Path, maps: MapArray, precision: Precision = "float32", out: Path | None = None
+    folder: Path, fresh: MapArray | TeamGraph, precision: Precision = "float32", out: Path | None = None
 ) -> Difference:
     """Write ``model.onnx`` for the policy in ``folder``.
 
@@ -47,7 +49,7 @@ def export_policy(
 
     Args:
         folder: Holds ``model.safetensors`` and ``model.json``.
-        maps: Occupancy maps (M, H, W) on which the graph is compared with PyTorch.
+        fresh: On what the graph is compared with PyTorch: occupancy maps (M, H, W), or teams for a graph network.
         precision: Numbers of the linear layers.
         out: Folder for the exported policy, weights included; ``folder`` itself by default.
 
@@ -59,20 +61,20 @@ def export_policy(
             was there stays then.
     """
     network, spec = load_policy(folder)
-    packed = pack(maps, spec.network.patch, spec.network.attention)
+    given = fresh if isinstance(fresh, TeamGraph) else _packed(fresh, spec)
     try:
         with tempfile.TemporaryDirectory() as trial, torch.inference_mode():
             files = _exported(folder, spec, precision, Path(trial))
             write_together(Path(trial), files)
-            commands = PolicyRuntime(Path(trial)).commands(packed)
-            errors = np.abs(commands - network(token_batch(packed)).numpy())
+            commands = _run(Path(trial), given)
+            errors = np.abs(commands - network(network_inputs(given)).numpy())
     except OSError as error:
         raise cannot_write(Path(tempfile.gettempdir()), error) from error
     difference = Difference(float(errors.max(initial=0.0)), float(errors.mean()) if errors.size else 0.0)
     found = difference.mean if precision == "int8" else difference.largest
     if not found <= TOLERANCE[precision]:
         raise TriformError(
-            f"the exported graph of {folder} differs from PyTorch by {found:.1e} on {len(maps)} maps; "
+            f"the exported graph of {folder} differs from PyTorch by {found:.1e} on {len(commands)} robots; "
             f"{TOLERANCE[precision]:.0e} is allowed, so it is not kept"
         )
     if out is None:
@@ -83,10 +85,22 @@ def export_policy(
     return difference
 
 
+def _packed(maps: MapArray, spec: PolicySpec) -> PackedMaps:
+    network = map_network(spec.network)
+    return pack(maps, network.patch, network.attention)
+
+
+def _run(folder: Path, given: PackedMaps | TeamGraph) -> FloatArray:
+    """What the exported policy in ``folder`` answers."""
+    if isinstance(given, TeamGraph):
+        return TeamRuntime(folder).commands(given)
+    return PolicyRuntime(folder).commands(given)
+
+
 def _exported(folder: Path, spec: PolicySpec, precision: Precision, room: Path) -> dict[str, bytes]:
     """The files of the exported policy by name; ``room`` takes files for the time."""
     weights = read_weights(folder, spec)
-    graph = build_graph(spec.network, weights, WEIGHTS_FILE)
+    graph = write_graph(spec.network, weights, WEIGHTS_FILE)
     if precision == "int8":
         graph = _quantised(graph, weights, room)
     exported = replace(spec, onnx_sha256=sha256(graph), precision=precision)

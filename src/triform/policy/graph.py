@@ -33,7 +33,7 @@ _IR_VERSION = 11
 _EPSILON = 1e-5
 
 
-class _Graph:
+class Graph:
     """Nodes and tensors of a graph under construction; every method returns the name of a tensor."""
 
     def __init__(self, weights: bytes, file_name: str) -> None:
@@ -44,9 +44,9 @@ class _Graph:
         self.nodes: list[onnx.NodeProto] = []
         self.tensors: dict[str, onnx.TensorProto] = {}
 
-    def op(self, kind: str, *inputs: str, outputs: int = 1, **attributes: Any) -> Any:
-        """Append a node; returns the name of its output, or a list of them."""
-        names = [f"{kind.lower()}_{len(self.nodes)}_{k}" for k in range(outputs)]
+    def op(self, kind: str, *inputs: str, outputs: int = 1, name: str | None = None, **attributes: Any) -> Any:
+        """Append a node; returns the name of its output, ``name`` if given, or a list of them."""
+        names = [name or f"{kind.lower()}_{len(self.nodes)}_{k}" for k in range(outputs)]
         self.nodes.append(helper.make_node(kind, list(inputs), names, **attributes))
         return names[0] if outputs == 1 else names
 
@@ -89,6 +89,16 @@ class _Graph:
         """Give ``x`` a shape known now."""
         return str(self.op("Reshape", x, self.constant(f"shape_{'_'.join(map(str, shape))}", np.array(shape))))
 
+    def model(self, inputs: list[onnx.ValueInfoProto], outputs: list[onnx.ValueInfoProto]) -> bytes:
+        """Finish: the graph as a serialised model."""
+        model = helper.make_model(
+            helper.make_graph(self.nodes, "triform policy", inputs, outputs, list(self.tensors.values())),
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=_IR_VERSION,
+            producer_name="triform",
+        )
+        return bytes(model.SerializeToString())
+
     def mlp(self, name: str, x: str, config: NetworkConfig) -> str:
         """The MLP of a layer with its residual."""
         dim = config.dim
@@ -96,7 +106,7 @@ class _Graph:
         return str(self.op("Add", x, self.linear(f"{name}.contract", self.op("Gelu", hidden), config.mlp, dim)))
 
 
-def _embed(graph: _Graph, config: NetworkConfig) -> str:
+def _embed(graph: Graph, config: NetworkConfig) -> str:
     """Tokens (M * L, D) from the graph's inputs."""
     # Position 0 of the stored table belongs to the class token, which has no patch and so no bias of the embedding.
     table = graph.weight("position", config.patches + 1, config.dim)
@@ -113,18 +123,18 @@ def _embed(graph: _Graph, config: NetworkConfig) -> str:
     return str(graph.op("Gemm", patches, weight, offsets, transB=1))
 
 
-def _layer(graph: _Graph, name: str, x: str, config: NetworkConfig, maps: str) -> str:
+def _layer(graph: Graph, name: str, x: str, config: NetworkConfig, maps: str) -> str:
     """One encoder layer: tokens (M * L, D) to the same."""
     dim = config.dim
     qkv = graph.linear(f"{name}.qkv", graph.norm(f"{name}.norm_attention", x, dim), dim, 3 * dim)
     rows = graph.op("Reshape", qkv, graph.op("Concat", maps, graph.constant("slots_3d", [-1, 3 * dim]), axis=0))
     queries, keys, values = graph.op("Split", rows, outputs=3, axis=2, num_outputs=3)
-    heads = {"q_num_heads": config.heads, "kv_num_heads": config.heads}
-    mixed = graph.reshape(graph.op("Attention", queries, keys, values, **heads), -1, dim)
+    heads = config.heads
+    mixed = graph.reshape(graph.op("Attention", queries, keys, values, q_num_heads=heads, kv_num_heads=heads), -1, dim)
     return graph.mlp(name, graph.op("Add", x, graph.linear(f"{name}.project", mixed, dim, dim)), config)
 
 
-def _by_head(graph: _Graph, x: str, matrices: str) -> str:
+def _by_head(graph: Graph, x: str, matrices: str) -> str:
     """Multiply every head's rows by its own matrix: (M, heads, a) and (heads, a, b) to (M, heads, b).
 
     A row of zeros is added for the time: ONNX Runtime sums a single row in another order than several, and a map's
@@ -136,7 +146,7 @@ def _by_head(graph: _Graph, x: str, matrices: str) -> str:
     return str(graph.op("Slice", product, graph.constant("[0]", [0]), graph.constant("[-1]", [-1])))
 
 
-def _read_out(graph: _Graph, name: str, x: str, config: NetworkConfig, maps: str) -> str:
+def _read_out(graph: Graph, name: str, x: str, config: NetworkConfig, maps: str) -> str:
     """The last layer, for the class tokens alone: tokens (M * L, D) to (M, D); see ``Block.read_out``."""
     dim, heads = config.dim, config.heads
     width = dim // heads
@@ -177,7 +187,7 @@ def build_graph(config: NetworkConfig, weights: bytes, file_name: str) -> bytes:
     Raises:
         TriformError: If the weights are not those of such a network.
     """
-    graph = _Graph(weights, file_name)
+    graph = Graph(weights, file_name)
     maps = graph.op("Shape", "positions", end=1)
     x = _embed(graph, config)
     for layer in range(config.depth - 1):
@@ -185,20 +195,11 @@ def build_graph(config: NetworkConfig, weights: bytes, file_name: str) -> bytes:
     x = _read_out(graph, f"blocks.{config.depth - 1}", x, config, maps)
     hidden = graph.linear("head.0", graph.norm("norm", x, config.dim), config.dim, config.mlp)
     commands = graph.linear("head.2", graph.op("Gelu", hidden), config.mlp, config.outputs)
-    graph.nodes.append(helper.make_node("Identity", [commands], ["commands"]))
-    model = helper.make_model(
-        helper.make_graph(
-            graph.nodes,
-            "triform policy",
-            [
-                helper.make_tensor_value_info("patches", TensorProto.FLOAT, ["maps", "slots", config.patch**2]),
-                helper.make_tensor_value_info("positions", TensorProto.INT64, ["maps", "slots"]),
-            ],
-            [helper.make_tensor_value_info("commands", TensorProto.FLOAT, ["maps", config.outputs])],
-            list(graph.tensors.values()),
-        ),
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=_IR_VERSION,
-        producer_name="triform",
+    graph.op("Identity", commands, name="commands")
+    return graph.model(
+        [
+            helper.make_tensor_value_info("patches", TensorProto.FLOAT, ["maps", "slots", config.patch**2]),
+            helper.make_tensor_value_info("positions", TensorProto.INT64, ["maps", "slots"]),
+        ],
+        [helper.make_tensor_value_info("commands", TensorProto.FLOAT, ["maps", config.outputs])],
     )
-    return bytes(model.SerializeToString())

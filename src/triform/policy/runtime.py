@@ -1,4 +1,4 @@
-"""Running a policy with ONNX Runtime, without PyTorch."""
+"""Running a policy that reads occupancy maps with ONNX Runtime, without PyTorch."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ import numpy as np
 import onnxruntime
 from numba import njit
 
-from triform.policy.checkpoint import PolicySpec, check_graph, read_spec, read_weights
+from triform.policy.checkpoint import ONNX_FILE, PolicySpec, check_graph, read_spec, read_weights
+from triform.policy.config import CnnConfig, NetworkConfig, map_network
 from triform.policy.packing import PackedMaps
-from triform.types import FloatArray, TriformError, require
+from triform.types import FloatArray, MapArray, TriformError, require
 
 #: Tokens of one call: enough to use the processor, few enough to stay in its cache.
 _TOKENS_AT_ONCE = 1024
+#: Whole maps of one call, likewise.
+_MAPS_AT_ONCE = 16
 
 
 @njit(cache=True, nogil=True)
@@ -81,6 +84,29 @@ def _fits(patches, positions, counts, cells, per_map):  # type: ignore[no-untype
     return total == positions.shape[0]
 
 
+@njit(cache=True, nogil=True)
+def _fill_maps(patches, positions, counts, token, patch, maps):  # type: ignore[no-untyped-def]
+    """Lay out whole maps; returns the token after theirs.
+
+    Args:
+        patches: Patches of all maps, shape (K, patch * patch).
+        positions: Their positions, shape (K,).
+        counts: Patches of every map that is to be laid out, shape (m,).
+        token: First patch of the first of them.
+        patch: Cells along each side of a patch.
+        maps: To fill, uint8, shape (m, H, H).
+    """
+    maps[:] = 0
+    columns = maps.shape[1] // patch
+    for m in range(counts.shape[0]):
+        for _ in range(counts[m]):
+            row, column = positions[token] // columns * patch, positions[token] % columns * patch
+            for c in range(patches.shape[1]):
+                maps[m, row + c // patch, column + c % patch] = patches[token, c]
+            token += 1
+    return token
+
+
 class _Room(threading.local):
     """Working room, one for each thread; it grows with the largest batch."""
 
@@ -99,6 +125,25 @@ class _Room(threading.local):
             self.first = np.empty(maps, dtype=np.int64)
 
 
+def open_session(folder: Path, spec: PolicySpec, threads: int) -> onnxruntime.InferenceSession:
+    """Load the exported graph of the policy in ``folder``, checked against its description.
+
+    Raises:
+        TriformError: If the folder holds no exported policy, or it cannot be loaded.
+    """
+    require(threads >= 1, f"threads is {threads}; it must be at least 1")
+    read_weights(folder, spec)
+    path = check_graph(folder, spec)
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0)
+    except Exception as error:
+        raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
+
+
 class PolicyRuntime:
     """A policy that turns packed occupancy maps into body twists; may be called from several threads at once."""
 
@@ -111,31 +156,20 @@ class PolicyRuntime:
                 better split over calls from several threads.
 
         Raises:
-            TriformError: If the folder holds no exported policy, or it cannot be loaded.
+            TriformError: If the folder holds no exported policy, it cannot be loaded, or it reads no maps.
         """
-        require(threads >= 1, f"threads is {threads}; it must be at least 1")
         self.folder = folder
         self.spec: PolicySpec = read_spec(folder)
-        read_weights(folder, self.spec)
-        path = check_graph(folder, self.spec)
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
-        options.intra_op_num_threads = threads
-        options.inter_op_num_threads = 1
-        try:
-            self._session = onnxruntime.InferenceSession(
-                str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0
-            )
-        except Exception as error:
-            raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
-
+        self._network = network = map_network(self.spec.network)
+        self._session = open_session(folder, self.spec, threads)
         inputs = {each.name: each.shape for each in self._session.get_inputs()}
         outputs = self._session.get_outputs()[0].shape[-1]
-        network = self.spec.network
-        if (inputs["patches"][-1], outputs) != (network.patch**2, network.outputs):
+        name, cells = ("maps", network.map_size) if isinstance(network, CnnConfig) else ("patches", network.patch**2)
+        found = inputs.get(name, [None])[-1]
+        if (found, outputs) != (cells, network.outputs):
             raise TriformError(
-                f"{path} reads patches of {inputs['patches'][-1]} cells and gives {outputs} numbers; its description "
-                f"says {network.patch**2} and {network.outputs}"
+                f"{folder / ONNX_FILE} reads {name} of {found} cells and gives {outputs} numbers; its description "
+                f"says {cells} and {network.outputs}"
             )
         self._room = _Room(network.patches, network.patch**2)
 
@@ -148,14 +182,33 @@ class PolicyRuntime:
         Raises:
             ConfigurationError: If the maps are not packed for this network.
         """
-        network, room, maps = self.spec.network, self._room, len(packed.counts)
+        network, maps = self._network, len(packed.counts)
         require(
             _fits(packed.patches, packed.positions, packed.counts, network.patch**2, network.patches),
             f"the maps are not packed for the network in {self.folder}: it reads up to {network.patches} patches of "
             f"{network.patch} x {network.patch} cells per map",
         )
         out = np.empty((maps, network.outputs))
-        room.fit(maps)
+        if isinstance(network, CnnConfig):
+            self._run_whole(packed, network, out)
+        else:
+            self._run_packed(packed, network, out)
+        return out
+
+    def _run_whole(self, packed: PackedMaps, network: CnnConfig, out: FloatArray) -> None:
+        """Fill ``out`` (M, outputs) with what a network that reads whole maps answers."""
+        token, at_once = 0, 1 if self.spec.precision == "int8" else _MAPS_AT_ONCE
+        maps: MapArray = np.empty((at_once, network.map_size, network.map_size), dtype=np.uint8)
+        for begin in range(0, len(out), at_once):
+            counts = packed.counts[begin : begin + at_once]
+            some = maps[: len(counts)]
+            token = _fill_maps(packed.patches, packed.positions, counts, token, network.patch, some)
+            (out[begin : begin + at_once],) = self._session.run(["commands"], {"maps": some})
+
+    def _run_packed(self, packed: PackedMaps, network: NetworkConfig, out: FloatArray) -> None:
+        """Fill ``out`` (M, outputs) with what the Vision Transformer answers."""
+        room = self._room
+        room.fit(len(out))
         _sort_by_count(packed.counts, room.begins, room.order, room.first)
         for count in np.flatnonzero(np.diff(room.begins)):
             slots = int(count) + 1
@@ -168,4 +221,3 @@ class PolicyRuntime:
                 places[:, 0] = network.patches
                 _fill_rows(packed.patches, packed.positions, room.first, some, tokens, places)
                 (out[some],) = self._session.run(["commands"], {"patches": tokens, "positions": places})
-        return out

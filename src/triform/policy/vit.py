@@ -14,15 +14,15 @@ about a third of the paper's network less to compute.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
 from triform.policy.attention import Rows
 from triform.policy.config import NetworkConfig
+from triform.policy.network import PolicyNetwork, to_device
 from triform.policy.packing import PackedMaps
 
 
@@ -45,14 +45,6 @@ def token_batch(packed: PackedMaps, device: torch.device | str = "cpu") -> Token
     """Move packed maps into PyTorch."""
     patches, positions = (to_device(array, device) for array in (packed.patches, packed.positions))
     return TokenBatch(patches.float(), positions, torch.from_numpy(packed.counts))
-
-
-def to_device(array: NDArray[Any], device: torch.device | str) -> Tensor:
-    """Move an array into PyTorch; on its way to a GPU nobody waits for it."""
-    tensor = torch.from_numpy(array)
-    if torch.device(device).type == "cuda":
-        tensor = tensor.pin_memory()
-    return tensor.to(device, non_blocking=True)
 
 
 class Block(nn.Module):
@@ -97,7 +89,7 @@ class Block(nn.Module):
         return out
 
 
-class VisionTransformer(nn.Module):
+class VisionTransformer(PolicyNetwork):
     """Occupancy map -> body twist: patch embedding, encoder with class token, output MLP."""
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -121,11 +113,7 @@ class VisionTransformer(nn.Module):
             x = block(x, rows)
         return x[: patches.shape[0]], cast(Block, self.blocks[-1]).read_out(x, rows)
 
-    def command(self, class_features: Tensor) -> Tensor:
-        """Body twists (M, 3) from encoded class tokens (M, D)."""
-        out: Tensor = self.head(self.norm(class_features))
+    def command(self, features: Tensor) -> Tensor:
+        """Commands (M, outputs) from encoded class tokens (M, D)."""
+        out: Tensor = self.head(self.norm(features))
         return out
-
-    def forward(self, tokens: TokenBatch) -> Tensor:
-        """Body twists (M, 3) of packed maps."""
-        return self.command(self.encode(tokens)[1])

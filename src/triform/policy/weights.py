@@ -10,11 +10,12 @@ from safetensors import SafetensorError
 
 from triform.files import make_folder, sha256, write_together
 from triform.policy.checkpoint import SPEC_FILE, WEIGHTS_FILE, PolicySpec, read_spec, read_weights
-from triform.policy.vit import VisionTransformer
+from triform.policy.kinds import make_network
+from triform.policy.network import PolicyNetwork
 from triform.types import TriformError
 
 
-def save_policy(folder: Path, network: VisionTransformer, spec: PolicySpec) -> None:
+def save_policy(folder: Path, network: PolicyNetwork, spec: PolicySpec) -> None:
     """Write a policy into ``folder``; each file is complete or absent, and an old one stays until then.
 
     Raises:
@@ -27,7 +28,7 @@ def save_policy(folder: Path, network: VisionTransformer, spec: PolicySpec) -> N
     write_together(folder, {WEIGHTS_FILE: data, SPEC_FILE: described})
 
 
-def load_policy(folder: Path) -> tuple[VisionTransformer, PolicySpec]:
+def load_policy(folder: Path) -> tuple[PolicyNetwork, PolicySpec]:
     """Read a policy with its weights.
 
     Raises:
@@ -35,7 +36,7 @@ def load_policy(folder: Path) -> tuple[VisionTransformer, PolicySpec]:
     """
     spec = read_spec(folder)
     data = read_weights(folder, spec)
-    network = VisionTransformer(spec.network)
+    network = make_network(spec.network)
     try:
         network.load_state_dict(safetensors.torch.load(data))
     except (SafetensorError, RuntimeError) as error:

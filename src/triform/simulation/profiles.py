@@ -66,6 +66,11 @@ class Footprint:
         return self.width / 2
 
     @property
+    def size(self) -> tuple[float, float] | float:
+        """Length and width of a box, or the diameter of a circle [m]."""
+        return self.length if self.is_circle else (self.length, self.width)
+
+    @property
     def body(self) -> tuple[float, float, bool]:
         """The outline as the kernels take it: half length, half width [m] and whether it is a circle."""
         return float(self.half_length), float(self.half_width), self.is_circle
@@ -187,6 +192,7 @@ class Profile:
         control_period: Time between two commands [s].
         latency: Time from a finished scan until a command can use it [s].
         time_step: Longest integration step [s].
+        odometry: Whether a robot's wheels tell it how far it has come.
     """
 
     name: str
@@ -196,6 +202,7 @@ class Profile:
     control_period: float = 0.1
     latency: float = 0.0
     time_step: float = 0.01
+    odometry: bool = True
 
     def __post_init__(self) -> None:
         for name in ("control_period", "time_step"):

@@ -49,8 +49,8 @@ class World:
     Physical contact is not simulated: robots pass through each other, walls and pillars, and overlaps are
     recorded.
 
-    A view also carries each robot's random push and its odometry, which is exact. The moment that a rolling scan shows is
-    the middle of its turn.
+    A view also carries each robot's random push and its odometry, which is exact. The moment that a rolling scan shows
+    is the middle of its turn.
 
     Every world draws from generators of its own, one for each robot. A world's run is the same to the bit whatever
     the number of threads and whatever other worlds are in the batch.
@@ -180,7 +180,7 @@ class World:
             time=self._time,
             poses=self.poses,
             push=random_pushes(self._push_keys, self._active.shape[1], self._time),
-            moved=relative_poses(self._poses, self._shown, self._active),
+            moved=relative_poses(self._poses, self._shown, self._active) if self._profile.odometry else None,
         )
 
     def apply(self, commands: FloatArray, duration: float) -> None:

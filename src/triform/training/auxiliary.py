@@ -1,9 +1,10 @@
 """Auxiliary targets, used in training only.
 
 Every occupied patch also predicts, for the robot nearest to the centroid of its occupied cells: that robot's term of
-the teacher's sum, where its centre lies, whether it is a Gabriel neighbour and whether it shares one with the robot that
-looks. The truth behind a scan is known while training, and this tells each token what the command's sum is made of. For the
-triangulating law the class token also predicts the facts on which its decisions hang. The heads are thrown away afterwards.
+the teacher's sum, where its centre lies, whether it is a Gabriel neighbour and whether it shares one with the robot
+that looks. The truth behind a scan is known while training, and this tells each token what the command's sum is made
+of. For the triangulating law the class token also predicts the facts on which its decisions hang. The heads are thrown
+away afterwards. The edges of a graph network predict the same of their senders, whose places they are told.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from triform.dataset import TeamLabels
 from triform.policy import PackedMaps
 from triform.types import FloatArray, MapConfig
 
@@ -82,6 +84,13 @@ def token_targets(
         targets, valid,
     )  # fmt: skip
     return targets, valid
+
+
+def edge_targets(labels: TeamLabels) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Targets of every edge of a graph network (E, TARGETS) and which edges have any (E,)."""
+    targets = np.zeros((len(labels.seen), TARGETS), dtype=np.float32)
+    targets[:, :2], targets[:, 4:] = labels.terms[:, :2], labels.terms[:, 2:]
+    return targets, labels.seen
 
 
 class AuxiliaryHead(nn.Module):

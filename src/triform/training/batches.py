@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,13 +24,16 @@ from triform.dataset import (
     Split,
     VisitedStates,
     draw_fresh,
+    draw_states,
     draw_views,
+    label_states,
     neighbours,
 )
 from triform.files import sha256
-from triform.policy import PackedMaps, pack
-from triform.policy.vit import TokenBatch, to_device, token_batch
-from triform.training.auxiliary import token_targets
+from triform.policy import GnnConfig, PackedMaps, TeamGraph, map_network, pack
+from triform.policy.kinds import network_inputs
+from triform.policy.network import to_device
+from triform.training.auxiliary import edge_targets, token_targets
 from triform.training.presets import TrainConfig
 from triform.training.processes import ALONE, Processes
 from triform.types import FloatArray, MapArray, TriformError
@@ -51,7 +55,9 @@ class TrainBatch:
     """A mini-batch of M maps with K tokens, or the share of it that falls to one process.
 
     Attributes:
-        packed: The maps, and behind them others that only fill up the batch to a size that was met before.
+        packed: The maps, and behind them others that only fill up the batch to a size that was met before. For a graph
+            network, whole teams instead of maps, edges instead of tokens, and behind the robots that are meant the rest
+            of their team.
         commands: What the network is to answer for the maps that are meant, shape (M, outputs).
         targets: Auxiliary targets of the tokens, shape (K, TARGETS).
         valid: Tokens that have targets, shape (K,).
@@ -59,7 +65,7 @@ class TrainBatch:
         maps: Maps of the whole mini-batch.
     """
 
-    packed: PackedMaps
+    packed: PackedMaps | TeamGraph
     commands: NDArray[np.float32]
     targets: NDArray[np.float32]
     valid: NDArray[np.bool_]
@@ -70,14 +76,14 @@ class TrainBatch:
         """The mini-batch in PyTorch."""
         arrays = (self.commands, self.targets, self.valid, self.facts)
         commands, targets, valid, facts = (to_device(array, device) for array in arrays)
-        return DeviceBatch(token_batch(self.packed, device), commands, targets, valid, facts)
+        return DeviceBatch(network_inputs(self.packed, device), commands, targets, valid, facts)
 
 
 @dataclass(frozen=True)
 class DeviceBatch:
-    """A ``TrainBatch`` on the device where it is used; attributes as there."""
+    """A ``TrainBatch`` on the device where it is used; attributes as there, ``inputs`` being what its network reads."""
 
-    tokens: TokenBatch
+    inputs: Any
     commands: Tensor
     targets: Tensor
     valid: Tensor
@@ -92,7 +98,8 @@ def _prepare(
     whole: int,
     facts: FloatArray | None = None,
 ) -> TrainBatch:
-    patch, network = config.network.patch, config.network
+    network = map_network(config.network)
+    patch = network.patch
     packed = pack(maps, patch, network.attention)
     targets, valid = token_targets(packed, seen, config.map, patch)
     if network.attention == "occupied":
@@ -259,20 +266,50 @@ class SceneSource:
         shares = [
             config.batch_maps * (part + 1) // _PARTS - config.batch_maps * part // _PARTS for part in range(_PARTS)
         ]
+        # Of more processes than parts, some draw nothing.
+        drawn = [(seeds[part], shares[part]) for part in range(first, last)] or [(seeds[0], 0)]
         parts = [
             draw_views(
-                np.random.default_rng(seeds[part]), shares[part], config.law, self._scenes, self.visited,
-                config.scan, config.map,
+                np.random.default_rng(part_seed), share, config.law, self._scenes, self.visited, config.scan, config.map
             )
-            for part in range(first, last)
-        ]  # fmt: skip
+            for part_seed, share in drawn
+        ]
         maps, commands, seen, facts = (
             np.concatenate([getattr(part, name) for part in parts]) for name in ("maps", "commands", "seen", "facts")
         )
         return _prepare(maps, commands, seen, config, config.batch_maps, facts)
 
 
-def open_source(config: TrainConfig, data: Path | None) -> FreshSource | StoredSource | SceneSource:
+class TeamSource(SceneSource):
+    """Random states of whole teams for a graph network, labelled by the triangulating law.
+
+    Every mini-batch has exactly as many labelled robots as one of ``SceneSource``. Of its last team some may not be
+    meant, but all of it is heard.
+    """
+
+    def __init__(self, config: TrainConfig, network: GnnConfig) -> None:
+        """Draw as ``config`` says for its ``network``."""
+        super().__init__(config)
+        self._reach = network.reach
+
+    def _draw(self, stream: int, index: int, processes: Processes) -> TrainBatch:
+        config = self._config
+        rng = np.random.default_rng([config.seed, stream, index])
+        whole = draw_states(rng, config.batch_maps, self._scenes, self.visited)
+        first, last = processes.share(len(whole))
+        states = whole.part(first, last)
+        graph = states.graph(self._reach)
+        labels = label_states(states, graph, config.law, self._scenes.max_speed)
+        targets, valid = edge_targets(labels)
+        meant = min(config.batch_maps - int(whole.offsets[first]), len(states.poses))
+        commands, facts = (values[:meant].astype(np.float32) for values in (labels.commands, labels.facts))
+        return TrainBatch(graph, commands, targets, valid & (graph.receivers < meant), facts, config.batch_maps)
+
+
+Source = FreshSource | StoredSource | SceneSource
+
+
+def open_source(config: TrainConfig, data: Path | None) -> Source:
     """Demonstrations stored in ``data``, or fresh ones if it is ``None``: scenes if the configuration has any.
 
     Raises:
@@ -281,5 +318,6 @@ def open_source(config: TrainConfig, data: Path | None) -> FreshSource | StoredS
     if config.scenes is not None:
         if data is not None:
             raise TriformError(f"the preset {config.preset!r} draws its own scenes; it reads no --data")
-        return SceneSource(config)
+        network = config.network
+        return TeamSource(config, network) if isinstance(network, GnnConfig) else SceneSource(config)
     return FreshSource(config) if data is None else StoredSource(config, data)

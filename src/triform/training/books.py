@@ -12,9 +12,9 @@ from typing import Any
 import torch
 from torch import nn
 
-from triform.policy.vit import VisionTransformer
+from triform.policy.network import PolicyNetwork
 from triform.policy.weights import save_policy
-from triform.training.batches import FreshSource, SceneSource, StoredSource, TrainBatch
+from triform.training.batches import Source, TrainBatch
 from triform.training.logs import TrainingLog
 from triform.training.presets import TrainConfig
 from triform.training.state import save_state
@@ -43,16 +43,16 @@ class Progress:
 
 
 @torch.no_grad()
-def validate(policy: VisionTransformer, batches: list[TrainBatch]) -> dict[str, float]:
+def validate(policy: PolicyNetwork, batches: list[TrainBatch]) -> dict[str, float]:
     """Command errors [m/s] on fixed demonstrations: their mean norm, and the median where little is commanded.
 
     States with a command below 0.1 m/s are near equilibrium; the error there is what limits the formation error.
     """
-    device = policy.class_token.device
+    device = next(policy.parameters()).device
     errors, sizes = [], []
     for batch in batches:
         here = batch.to(device)
-        errors.append((policy(here.tokens)[: len(here.commands)] - here.commands).norm(dim=1))
+        errors.append((policy(here.inputs)[: len(here.commands)] - here.commands).norm(dim=1))
         sizes.append(here.commands.norm(dim=1))
     error, small = torch.cat(errors), torch.cat(sizes) < 0.1
     return {
@@ -68,9 +68,9 @@ class Books:
         self,
         out: Path,
         config: TrainConfig,
-        source: FreshSource | StoredSource | SceneSource,
+        source: Source,
         learner: nn.Module,
-        policy: VisionTransformer,
+        policy: PolicyNetwork,
         optimizer: torch.optim.Optimizer,
         record: dict[str, Any],
         report: Callable[[Progress], None],

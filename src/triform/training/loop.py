@@ -15,7 +15,8 @@ from torch import Tensor, nn
 
 from triform.control._triangulating_kernels import FACTS
 from triform.files import exclusive, make_folder, write_atomically
-from triform.policy.vit import VisionTransformer
+from triform.policy import describe_network
+from triform.policy.kinds import make_network
 from triform.training.auxiliary import TARGETS, AuxiliaryHead, fact_loss, token_loss
 from triform.training.batches import DeviceBatch, SceneSource, TrainBatch, open_source
 from triform.training.books import STATE_FILE, Books, Progress
@@ -59,10 +60,10 @@ class Learner(nn.Module):
 
     def __init__(self, config: TrainConfig) -> None:
         super().__init__()
-        self.policy = VisionTransformer(config.network)
-        dim, wanted = config.network.dim, config.auxiliary > 0
-        self.auxiliary = AuxiliaryHead(dim, TARGETS) if wanted else None
-        self.facts = AuxiliaryHead(dim, FACTS) if wanted and config.scenes is not None else None
+        self.policy = make_network(config.network)
+        network, wanted = config.network, config.auxiliary > 0
+        self.auxiliary = AuxiliaryHead(network.token_width, TARGETS) if wanted else None
+        self.facts = AuxiliaryHead(network.dim, FACTS) if wanted and config.scenes is not None else None
 
     def losses(self, batch: DeviceBatch, config: TrainConfig, maps: float, tokens: float) -> tuple[Tensor, Tensor]:
         """Command loss and total loss of a mini-batch: sums over what it holds, over the numbers to divide by.
@@ -74,10 +75,10 @@ class Learner(nn.Module):
             tokens: Tokens with targets in the whole mini-batch.
         """
         with reduced(config.precision, batch.commands.device):
-            token_features, class_features = self.policy.encode(batch.tokens)
-            commands = self.policy.command(class_features)[: len(batch.commands)]
+            token_features, features = self.policy.encode(batch.inputs)
+            commands = self.policy.command(features)[: len(batch.commands)]
             predicted = self.auxiliary(token_features) if self.auxiliary is not None else None
-            told = self.facts(class_features)[: len(batch.commands)] if self.facts is not None else None
+            told = self.facts(features)[: len(batch.commands)] if self.facts is not None else None
         command = command_loss(commands.float(), batch.commands, config.loss) / maps
         total = command
         if predicted is not None:
@@ -97,7 +98,7 @@ def make_optimizer(config: TrainConfig, parameters: FlatParameters) -> torch.opt
 def _check_same_run(out: Path, config: TrainConfig, data: str | None, resume: bool) -> None:
     """Refuse to overwrite another run or to continue one with other settings; record the settings."""
     path = out / CONFIG_FILE
-    parts = {name: vars(getattr(config, name)) for name in ("network", "scan", "map")}
+    parts = {"network": describe_network(config.network), "scan": vars(config.scan), "map": vars(config.map)}
     settings = {**config.record(), **parts, "data_sha256": data}
     text = json.dumps(settings, indent=2, default=list) + "\n"
     if path.exists():

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from triform.control import TriangulatingLaw, expert_variant
 from triform.dataset import SceneConfig, StateConfig
-from triform.policy import NetworkConfig, PolicySpec
+from triform.policy import CnnConfig, GnnConfig, Network, NetworkConfig, PolicySpec
 from triform.types import ConfigurationError, MapConfig, ScanConfig, require
 
 Precision = Literal["float32", "medium", "bfloat16"]
@@ -20,7 +20,7 @@ class TrainConfig:
 
     Attributes:
         preset: Name under which it is recorded.
-        network: Shape of the network.
+        network: Kind and shape of the network.
         maps: Maps to train on; ``None`` for one epoch of a stored data set.
         batch_maps: Maps of a mini-batch, about.
         optimizer: ``adamw`` or ``rmsprop``.
@@ -40,13 +40,15 @@ class TrainConfig:
         states: Which fresh states are drawn.
         scenes: Which views are drawn to learn the triangulating law; ``None`` learns an expert from demonstrations.
         law: Constants of the triangulating law.
-        rounds: Shares of the steps after which the learner itself drives teams, and where it went is drawn from as well.
+        rest_speed: Slower commands of the policy are none [m/s].
+        least_push: Smaller amplitudes of its random push are none [m/s].
+        rounds: Shares of the steps after which the learner itself drives teams, and where it went is drawn from too.
         scan: The LiDAR; in units of d* with ``scenes``, and so is the map.
         map: The occupancy map.
     """
 
     preset: str
-    network: NetworkConfig
+    network: Network
     maps: int | None
     batch_maps: int = 112
     optimizer: Literal["adamw", "rmsprop"] = "adamw"
@@ -65,6 +67,8 @@ class TrainConfig:
     scenes: SceneConfig | None = None
     law: TriangulatingLaw = field(default_factory=TriangulatingLaw)
     rounds: tuple[float, ...] = ()
+    rest_speed: float = 0.0
+    least_push: float = 0.0
     scan: ScanConfig = field(default_factory=ScanConfig)
     map: MapConfig = field(default_factory=MapConfig)
 
@@ -92,10 +96,19 @@ class TrainConfig:
             f"rounds are {self.rounds}; growing shares between 0 and 1 are needed",
         )
         require(
+            self.scenes is not None or not isinstance(self.network, GnnConfig),
+            "a graph network learns from whole teams, so it needs scenes",
+        )
+        require(
             self.scenes is not None or not self.rounds, "rounds are given, but only learning from scenes has rounds"
         )
         if self.scenes is None:
             expert_variant(self.teacher)
+        else:
+            require(
+                self.teacher == "triangulating",
+                f"the teacher is {self.teacher!r}; scenes are labelled by the triangulating law alone",
+            )
         require(self.optimizer in ("adamw", "rmsprop"), f"there is no optimizer {self.optimizer!r}")
 
     def round_steps(self, steps: int) -> list[int]:
@@ -104,7 +117,16 @@ class TrainConfig:
 
     def spec(self) -> PolicySpec:
         """Description of the policy that comes out of it."""
-        return PolicySpec(self.network, self.scan, self.map, self.distance, self.record())
+        return PolicySpec(
+            self.network,
+            self.scan,
+            self.map,
+            self.distance,
+            None if self.scenes is None else self.scenes.distances,
+            self.rest_speed,
+            self.least_push,
+            self.record(),
+        )
 
     def record(self) -> dict[str, Any]:
         """What a checkpoint says of its training, plain JSON values."""
@@ -116,19 +138,22 @@ class TrainConfig:
 
 
 PRESETS = {
-    "tri": TrainConfig(
-        "tri",
-        NetworkConfig(dim=128, depth=3, heads=4, mlp=256, outputs=4),
-        maps=8_000_000,
-        learning_rate=2e-3,
+    # The policy that learns the triangulating law.
+    "default": TrainConfig(
+        "default",
+        NetworkConfig(dim=96, depth=3, heads=4, mlp=192, outputs=4),
+        maps=9_000_000,
+        learning_rate=2.5e-3,
         warmup=500,
         teacher="triangulating",
         scenes=SceneConfig(),
         rounds=(0.2, 0.4, 0.6, 0.8),
+        rest_speed=0.02,
+        least_push=0.05,
     ),
-    # The smallest network that loses nothing, see docs/results.md.
-    "default": TrainConfig("default", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=5_000_000),
-    # The paper's network, trained with the recipe that works.
+    # The published method with a recipe that works: a small network that learns an expert of springs.
+    "springs": TrainConfig("springs", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=5_000_000),
+    # The same with the paper's network.
     "large": TrainConfig("large", NetworkConfig(), maps=2_000_000, learning_rate=4e-4, warmup=500),
     # Algorithm 1 as printed: RMSprop 0.01, mini-batches of 16 records x 7 robots, one epoch, every patch attended.
     "paper": TrainConfig(
@@ -146,6 +171,18 @@ PRESETS = {
         teacher="expert",
         states=StateConfig(robots=(7,)),
     ),
+}
+
+#: What the policy that learned the triangulating law is compared with, trained on the same scenes in the same way: a
+#: convolutional network, a graph network whose robots talk, and the paper's network, which attends to every patch.
+_BASELINES: dict[str, tuple[Network, float]] = {
+    "cnn": (CnnConfig(), 2e-3),
+    "gnn": (GnnConfig(), 2e-3),
+    "dense": (NetworkConfig(outputs=4, attention="all"), 4e-4),
+}
+PRESETS |= {
+    name: replace(PRESETS["default"], preset=name, network=network, learning_rate=learning_rate)
+    for name, (network, learning_rate) in _BASELINES.items()
 }
 
 

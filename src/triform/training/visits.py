@@ -1,7 +1,8 @@
 """Which states a training draws from: those that the teacher visits, and in rounds those that the learner visits.
 
-A learner that only sees its teacher's states does not learn to come back from its own mistakes (DAgger). So at some moments
-of a training the policy of that moment drives teams itself; where they went joins the states, and the teacher labels them.
+A learner that only sees its teacher's states does not learn to come back from its own mistakes (DAgger). So at some
+moments of a training the policy of that moment drives teams itself; where they went joins the states, and the teacher
+labels them.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from triform.control import LearnedPolicy, Triangulating, TriangulatingLaw
-from triform.dataset import SceneConfig, VisitedStates, draw_views, joined
+from triform.control import LearnedPolicy, TalkingTeam, Triangulating, TriangulatingLaw
+from triform.dataset import VisitedStates, fresh_inputs, joined
 from triform.evaluation.rollout import rollout
-from triform.policy import PolicyRuntime, PolicySpec
+from triform.policy import GnnConfig, PolicyRuntime, PolicySpec, TeamRuntime
 from triform.policy.export import export_policy
-from triform.policy.vit import VisionTransformer
+from triform.policy.network import PolicyNetwork
 from triform.policy.weights import save_policy
 from triform.simulation import World, get_profile, starts
 from triform.training.presets import TrainConfig
@@ -101,9 +102,8 @@ def teacher_states(law: TriangulatingLaw, seed: int, visits: Sequence[Visit] = T
 
 
 def learner_states(
-    policy: VisionTransformer,
+    policy: PolicyNetwork,
     spec: PolicySpec,
-    law: TriangulatingLaw,
     seed: int,
     number: int,
     visits: Sequence[Visit] = LEARNER_VISITS,
@@ -112,14 +112,17 @@ def learner_states(
     with tempfile.TemporaryDirectory(prefix="triform-learner-") as folder:
         save_policy(Path(folder), policy, spec)
         rng = np.random.default_rng(seed)
-        views = draw_views(rng, 64, law, SceneConfig(), VisitedStates.none(), spec.scan, spec.map)
-        export_policy(Path(folder), views.maps)
-        controller = LearnedPolicy(PolicyRuntime(Path(folder)))
+        export_policy(Path(folder), fresh_inputs(rng, 64, spec))
+        controller: Controller[PrivilegedView]
+        if isinstance(spec.network, GnnConfig):
+            controller = TalkingTeam(TeamRuntime(Path(folder)))
+        else:
+            controller = LearnedPolicy(PolicyRuntime(Path(folder)))
         return joined([_visited(controller, visit, (seed, len(_DISTURBANCES) + number)) for visit in visits])
 
 
 def visit_states(
-    out: Path, config: TrainConfig, policy: VisionTransformer, number: int, processes: Processes
+    out: Path, config: TrainConfig, policy: PolicyNetwork, number: int, processes: Processes
 ) -> VisitedStates:
     """All states to draw from in round ``number`` of a training, where round 0 has the teacher's alone.
 
@@ -134,12 +137,14 @@ def visit_states(
         processes: The processes that train together.
     """
     files = [out / f"visited-{each}.npz" for each in range(number + 1)]
-    if processes.first and not files[-1].exists():
-        if number == 0:
+    # Rounds of no steps have not been here for theirs.
+    missing = [each for each in range(number + 1) if not files[each].exists()] if processes.first else []
+    for each in missing:
+        if each == 0:
             states = teacher_states(config.law, config.seed)
         else:
-            states = learner_states(policy, config.spec(), config.law, config.seed, number)
-        states.save(files[-1])
+            states = learner_states(policy, config.spec(), config.seed, each)
+        states.save(files[each])
     processes.wait()
     return joined([VisitedStates.load(file) for file in files])
 
