@@ -14,6 +14,11 @@ import pytest
 
 from triform import __version__
 from triform.cli import COMMANDS, main
+from triform.training import PRESETS
+
+#: A preset that learns an expert from demonstrations, and one that learns the triangulating law from scenes.
+DEMONSTRATED = next(name for name, preset in PRESETS.items() if preset.scenes is None and preset.maps is not None)
+SCENES = next(name for name, preset in PRESETS.items() if preset.scenes is not None)
 
 
 def test_version_and_overview(capsys: pytest.CaptureFixture[str]) -> None:
@@ -65,7 +70,8 @@ def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: 
         (["export", "missing"], "holds no policy"),
         (["collect", "--out", "data", "--teacher", "nobody"], "no expert 'nobody'"),
         (["train", "--out", "run", "--preset", "paper"], "--data"),
-        (["train", "--out", "run", "--data", "missing"], "missing"),
+        (["train", "--out", "run", "--preset", DEMONSTRATED, "--data", "missing"], "missing"),
+        (["train", "--out", "run", "--preset", SCENES, "--data", "missing"], "reads no --data"),
         (["train", "--out", "run", "--maps", "0"], "maps is 0"),
         (["train", "--out", "run", "--device", "abacus"], "abacus"),
         (["train", "--out", "run", "--device", "meta"], "cpu or cuda"),
@@ -106,8 +112,11 @@ def test_collect_train_export_evaluate(tmp_path: Path) -> None:
     collect = ["collect", "--out", str(data), "--runs", "2", "--steps", "10", "--placements", "100"]
     assert main(collect) == 0
     assert main(collect) == 0
-    assert main(["train", "--out", str(run), "--data", str(data), "--maps", "500"]) == 0
-    assert main(["train", "--out", str(run), "--data", str(data), "--maps", "500", "--resume"]) == 0
+    train = ["train", "--out", str(run), "--preset", DEMONSTRATED, "--data", str(data), "--maps", "500"]
+    assert main(train) == 0
+    assert main([*train, "--resume"]) == 0
+    assert main(["train", "--out", str(tmp_path / "scenes"), "--preset", SCENES, "--data", str(data)]) == 1
+    assert not (tmp_path / "scenes").exists()
     assert main(["export", str(run / "best")]) == 0
     evaluate = ["evaluate", "--weights", str(run / "best"), "--robots", "3", "--runs", "1", "--duration", "6"]
     assert main(evaluate) == 0
@@ -115,7 +124,8 @@ def test_collect_train_export_evaluate(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_training_says_so_and_resumes(tmp_path: Path, stop: signal.Signals) -> None:
-    command = [sys.executable, "-m", "triform.cli", "train", "--out", str(tmp_path), "--maps", "20000"]
+    train = ["train", "--out", str(tmp_path), "--preset", DEMONSTRATED, "--maps", "6000"]
+    command = [sys.executable, "-m", "triform.cli", *train]
     child = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     while not (tmp_path / "log.jsonl").exists():
         assert child.poll() is None
@@ -126,7 +136,7 @@ def test_a_stopped_training_says_so_and_resumes(tmp_path: Path, stop: signal.Sig
     assert "interrupted" in errors
     assert "Traceback" not in errors
     assert (tmp_path / "state.safetensors").exists()
-    assert main([*command[3:], "--resume"]) == 0
+    assert main([*train, "--resume"]) == 0
 
 
 def test_the_first_command_says_that_it_compiles(tmp_path: Path, monkeypatch, capsys) -> None:

@@ -123,10 +123,10 @@ class Train:
         if self.threads < 1:
             raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
         torch.set_num_threads(self.threads)
-        given = _given(self, "maps", "teacher", "learning_rate", "seed", "precision")
-        if self.data is not None and self.teacher is None:
+        preset, given = get_preset(self.preset), _given(self, "maps", "teacher", "learning_rate", "seed", "precision")
+        if self.data is not None and self.teacher is None and preset.scenes is None:
             given["teacher"] = load_manifest(self.data).config.teacher
-        config = replace(get_preset(self.preset), **given)
+        config = replace(preset, **given)
         with _progress(console) as update:
             best = train(
                 config,

@@ -219,9 +219,7 @@ def test_slow_commands_are_exact_rest() -> None:
 def scaled(scale: float) -> tuple[Profile, np.ndarray]:
     """Robots, their LiDAR and where they stand, all lengths ``scale`` times as large."""
     scan = ScanConfig(range_min=0.02 * scale, range_max=2.0 * scale)
-    profile = replace(
-        IDEAL, footprint=Footprint.box(0.32 * scale, 0.24 * scale), lidar=replace(IDEAL.lidar, scan=scan)
-    )
+    profile = replace(IDEAL, footprint=Footprint.box(0.32 * scale, 0.24 * scale), lidar=replace(IDEAL.lidar, scan=scan))
     return profile, starts(7, 4, seed=8) * [scale, scale, 1.0]
 
 
@@ -247,9 +245,9 @@ def test_odometry_and_scans_make_the_map(small: PolicyRuntime) -> None:
     world = World(starts(5, 2, seed=6), IDEAL)
     world.apply(np.full((2, 5, 3), 0.1), 0.1)
     view = replace(world.observe(), push=None)
-    np.testing.assert_array_equal(LearnedPolicy(small).command(view), LearnedPolicy(small).command(
-        replace(view, moved=None)
-    ))
+    np.testing.assert_array_equal(
+        LearnedPolicy(small).command(view), LearnedPolicy(small).command(replace(view, moved=None))
+    )
     moved = np.zeros((2, 5, 3))
     # A quarter turn maps cells onto cells, but for returns on their edges.
     moved[..., 2] = np.pi / 2

@@ -165,8 +165,7 @@ def test_every_size_is_placed() -> None:
     rng, team, nobody = np.random.default_rng(1), np.empty((20, 2)), VisitedStates.none()
     config = SceneConfig()
     counts = [
-        draw_positions(rng, nobody.positions, nobody.offsets, 0.15, config.sizes, np.zeros(1), team)
-        for _ in range(600)
+        draw_positions(rng, nobody.positions, nobody.offsets, 0.15, config.sizes, np.zeros(1), team) for _ in range(600)
     ]
     assert set(range(2, 21)) <= set(counts) <= {0, *range(2, 21)}
     assert counts.count(0) < 30

@@ -10,9 +10,7 @@ from triform.perception import map_room, occupancy_maps, occupied_into
 from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig
 
 
-def algorithm_3(
-    ranges: np.ndarray, scan: ScanConfig, config: MapConfig, moved: np.ndarray | None = None
-) -> np.ndarray:
+def algorithm_3(ranges: np.ndarray, scan: ScanConfig, config: MapConfig, moved: np.ndarray | None = None) -> np.ndarray:
     """Algorithm 3 in SciPy: project, Gaussian over 3 x 3 cells, non-zero to one, drop groups by size."""
     hit = (ranges > 0) & (ranges <= scan.range_max)
     points = ranges[hit, None] * np.stack([np.cos(scan.angles), np.sin(scan.angles)], axis=1)[hit]
@@ -93,9 +91,7 @@ def test_who_has_moved_sees_the_same_returns_from_there(
     ranges[rng.random(scan.rays) < 0.05] = np.nan
     direction = rng.uniform(-np.pi, np.pi)
     moved = np.array([way * np.cos(direction), way * np.sin(direction), turned])
-    np.testing.assert_array_equal(
-        seen_from(ranges, scan, config, moved), algorithm_3(ranges, scan, config, moved)
-    )
+    np.testing.assert_array_equal(seen_from(ranges, scan, config, moved), algorithm_3(ranges, scan, config, moved))
     at_rest = occupancy_maps(Scan(ranges, scan), config)
     np.testing.assert_array_equal(seen_from(ranges, scan, config, np.zeros(3)), at_rest)
 

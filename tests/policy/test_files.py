@@ -16,7 +16,7 @@ from triform.policy import NetworkConfig, PackedMaps, PolicyRuntime, PolicySpec,
 from triform.policy.export import export_policy
 from triform.policy.vit import VisionTransformer, token_batch
 from triform.policy.weights import load_policy, save_policy
-from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig, TriformError
+from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError
 
 SPEC = PolicySpec(
     NetworkConfig(map_size=20, patch=5, dim=16, depth=2, heads=4, mlp=24),
@@ -258,14 +258,87 @@ def test_a_failed_write_leaves_the_old_policy(exported: Path, tmp_path: Path, mo
     assert (folder / "model.safetensors").read_bytes() == (exported / "model.safetensors").read_bytes()
 
 
+def test_what_a_policy_uses_of_a_scan_scales_with_the_distance() -> None:
+    spec = PolicySpec(NetworkConfig(), ScanConfig(), MapConfig(), distances=(0.6, 1.5))
+    lidar = ScanConfig(rays=667, range_min=0.1, range_max=8.0)
+    for distance in (0.6, 0.8, 1.0, 1.5):
+        scan, made = spec.views(lidar, distance)
+        assert spec.scale(distance) == distance
+        assert scan == replace(lidar, range_max=2.0 * distance)
+        assert made == replace(MapConfig(), cell=0.04 * distance)
+    # A policy that was trained at another distance than 1 m has maps for that.
+    other = replace(spec, scan=ScanConfig(range_max=1.6), map=MapConfig(cell=0.032), distance=0.8)
+    scan, made = other.views(lidar, 1.2)
+    assert (other.scale(1.2), scan.range_max, made.cell) == pytest.approx((1.5, 2.4, 0.048))
+    one = replace(spec, distances=None)
+    assert one.views(ScanConfig(), 1.0) == (ScanConfig(), MapConfig())
+
+
 def test_scans_that_make_other_maps_are_refused() -> None:
-    spec = PolicySpec(NetworkConfig(), ScanConfig(), MapConfig())
-    spec.check_scan(Scan(np.zeros(450), ScanConfig()))
-    spec.check_scan(Scan(np.zeros(667), ScanConfig(rays=667, range_min=0.1)))
-    with pytest.raises(ConfigurationError, match="sensing range"):
-        spec.check_scan(Scan(np.zeros(450), ScanConfig(range_max=8.0)))
-    with pytest.raises(ConfigurationError, match="more than a cell apart"):
-        spec.check_scan(Scan(np.zeros(90), ScanConfig(rays=90)))
+    spec = PolicySpec(NetworkConfig(), ScanConfig(), MapConfig(), distances=(0.5, 2.0))
+    with pytest.raises(ConfigurationError, match=r"range of 2 m for a distance of 1 m; this scan has range_max 1\.9 m"):
+        spec.views(ScanConfig(range_max=1.9), 1.0)
+    with pytest.raises(ConfigurationError, match=r"range of 2\.4 m for a distance of 1\.2 m"):
+        spec.views(ScanConfig(), 1.2)
+    assert spec.views(ScanConfig(range_max=1.0), 0.5)[0].range_max == 1.0
+    with pytest.raises(ConfigurationError, match=r"cells of 0\.04 m; this scan has 90 rays, which lie more"):
+        spec.views(ScanConfig(rays=90), 1.0)
+    # Rays and cells are angles and lengths: their ratio is the same at every distance.
+    for distance in (0.5, 1.0, 2.0):
+        lidar = ScanConfig(rays=315, range_max=8.0)
+        assert spec.views(lidar, distance)[0].rays == 315
+        with pytest.raises(ConfigurationError, match="more than a cell apart"):
+            spec.views(replace(lidar, rays=314), distance)
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.599, 1.501, -1.0, np.inf, np.nan])
+def test_distances_that_were_not_trained_are_refused(distance: float) -> None:
+    spec = PolicySpec(NetworkConfig(), ScanConfig(), MapConfig(), distances=(0.6, 1.5))
+    for refused in (spec.scale, lambda value: spec.views(ScanConfig(range_max=9.0), value)):
+        with pytest.raises(ConfigurationError, match=rf"trained for distances of 0\.6 m to 1\.5 m, not {distance} m"):
+            refused(distance)
+        with pytest.raises(ConfigurationError, match=rf"trained for a distance of 1\.0 m, not {distance} m"):
+            replace(spec, distances=None).scale(distance)
+
+
+def test_distances_rest_and_pushes_come_back(tmp_path: Path) -> None:
+    spec = replace(SPEC, distances=(0.6, 1.5), rest_speed=0.02, least_push=0.05)
+    assert PolicySpec.from_json(spec.to_json(), "here") == spec
+    save_policy(tmp_path / "policy", VisionTransformer(spec.network), spec)
+    back = read_spec(tmp_path / "policy")
+    assert back == replace(spec, weights_sha256=back.weights_sha256)
+    assert isinstance(back.distances, tuple)
+
+
+def test_descriptions_of_earlier_releases_are_read() -> None:
+    data = json.loads(SPEC.to_json())
+    for name in ("distances", "rest_speed", "least_push", "precision"):
+        del data[name]
+    data["network"].pop("kind", None)
+    old = PolicySpec.from_json(json.dumps(data), "here")
+    assert old == SPEC
+    assert (old.distances, old.rest_speed, old.least_push) == (None, 0.0, 0.0)
+    for strange in ([0.6], [0.6, 1.0, 1.5], "far", 7, [1.5, 0.6], ["a", "b"]):
+        with pytest.raises(TriformError, match=r"readable policy|must hold the distance"):
+            PolicySpec.from_json(json.dumps({**data, "distances": strange}), "here")
+    with pytest.raises(TriformError, match="not a readable policy"):
+        PolicySpec.from_json(json.dumps({**data, "colour": "red"}), "here")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        *(({"distances": pair}, "must hold the distance 1.0 m") for pair in (
+            (0.0, 1.5), (1.1, 1.5), (0.5, 0.9), (1.5, 0.6), (0.6, np.inf), (np.nan, 1.5)
+        )),
+        *(({name: value}, f"{name} is {value} m/s") for name in ("rest_speed", "least_push") for value in (
+            -0.1, np.nan, np.inf
+        )),
+    ],
+)  # fmt: skip
+def test_descriptions_that_make_no_sense_are_refused(change: dict, says: str) -> None:
+    with pytest.raises(ConfigurationError, match=says):
+        replace(SPEC, **change)
 
 
 def test_a_network_for_other_maps_is_refused() -> None:

@@ -177,7 +177,8 @@ def run_compare(config: CompareConfig, console: Console) -> list[Path]:
             facts = find_facts(config, measured)
         measure_waiting(measured, engine, console, lambda seconds: _write(config, measured, facts, seconds))
     sections = list_sections(config, measured.summaries(), facts, measured.skipped)
-    for section in sections:
+    # The other tables are too wide for many terminals.
+    for section in sections[:2]:
         console.print(rich_table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN)))
     pages = [config.output / f"{_NAME}.md", config.output / f"{_NAME}.html"]
     for path in [*(config.output / name for name in sections[0].files), *pages]:

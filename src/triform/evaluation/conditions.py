@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 from triform.evaluation.dynamic import CHANGE_TIME
 from triform.evaluation.incidents import INCIDENTS, MEETING, Incident
+from triform.evaluation.measured import LARGE_TEAM, LARGE_TEAM_TIME
 from triform.evaluation.metrics import WINDOW
 from triform.evaluation.page import spell_command
 from triform.evaluation.robot import FOOTPRINTS
@@ -21,10 +22,6 @@ Condition = Literal[
     "incident",
 ]  # fmt: skip
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
-
-#: Teams of more robots than this get so many times the duration, for they have farther to go.
-_LARGE_TEAM = 13
-_LARGE_TEAM_TIME = 3
 
 #: Said in every command even where they are the defaults, because a reader asks for them first.
 _ALWAYS_SAID = {"controller", "runs", "seed"}
@@ -151,7 +148,7 @@ def list_cells(config: ConditionsConfig) -> list[Cell]:
     for condition, sweep in SWEEPS.items():
         for label, value in sweep.values.items():
             if condition == "team-size":
-                longer = _LARGE_TEAM_TIME if value > _LARGE_TEAM else 1
+                longer = LARGE_TEAM_TIME if value > LARGE_TEAM else 1
                 scenario = replace(base, duration=longer * base.duration)
                 cells.append(Cell(condition, label, scenario, value))
             elif condition == "incident":

@@ -58,7 +58,11 @@ def spell_command(words: list[str], config: Scenario, always: Collection[str], n
     for option in fields(config):
         value = getattr(config, option.name)
         if option.name not in never and (option.name in always or value != option.default):
-            spelled.append(f"--{option.name.replace('_', '-')}")
+            name = option.name.replace("_", "-")
+            if isinstance(value, bool):
+                spelled.append(f"--{name}" if value else f"--no-{name}")
+                continue
+            spelled.append(f"--{name}")
             spelled += map(str, value) if isinstance(value, tuple) else [str(value)]
     return shlex.join(spelled)
 

@@ -107,14 +107,22 @@ class Scenario:
         Raises:
             TriformError: There is no such controller, or its weights cannot be used.
         """
-        robot = self.robot
-        drive, lidar = robot.drive, robot.lidar
-        controller = make_controller(self.controller, self.distance, self.weights, footprint=robot.footprint.size)
+        controller = self.make_unguarded()
         if not self.guard:
             return controller
+        robot = self.robot
+        drive, lidar = robot.drive, robot.lidar
         reaction = reaction_time(robot.control_period, lidar.period, robot.latency, lidar.rolling, drive.lag)
         limits = {"max_speed": drive.max_speed, "max_axis_speed": drive.max_axis_speed}
         return Guarded(controller, Guard(robot.footprint.size, reaction=reaction, **limits))
+
+    def make_unguarded(self) -> Controller[PrivilegedView]:
+        """Make the controller without the layer that guards it.
+
+        Raises:
+            TriformError: There is no such controller, or its weights cannot be used.
+        """
+        return make_controller(self.controller, self.distance, self.weights, footprint=self.robot.footprint.size)
 
     def draw_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
         """Return random starts (runs, robots, 3) for the prescribed distance, as ``triform.simulation.starts``."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -14,17 +12,16 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from triform import __version__
 from triform.engines import Engine, Report
 from triform.evaluation.bulk import PortableController, by_group
 from triform.evaluation.condition_figures import FailedRun, conditions_figure, failures_figure
 from triform.evaluation.condition_page import list_sections
 from triform.evaluation.conditions import SWEEPS, Cell, Condition, ConditionsConfig, list_cells
-from triform.evaluation.evaluate import describe
 from triform.evaluation.figures import Scene
 from triform.evaluation.incidents import incident_starts, run_incident
-from triform.evaluation.metrics import RunTable, concatenate, summarise, wilson_interval
-from triform.evaluation.output import plain, prepare_folder, write_json
+from triform.evaluation.measured import describe_runs, digest, intervals
+from triform.evaluation.metrics import RunTable, concatenate, summarise
+from triform.evaluation.output import prepare_folder, write_json
 from triform.evaluation.page import write_pages
 from triform.evaluation.rollout import Trajectory, control_steps
 from triform.evaluation.scenario import chunks, world_seeds
@@ -189,8 +186,8 @@ class ConditionSweep:
             _kind(cell): PortableController(cell.scenario, self.controllers[_kind(cell)]) for cell in waiting.values()
         }
         for number, tables in by_group(MeasureCells(self.config, portables), groups, engine, on_step):
-            digest, cell = list(waiting.items())[number]
-            self.tables[digest] = concatenate(tables)
+            name, cell = list(waiting.items())[number]
+            self.tables[name] = concatenate(tables)
             yield cell
 
     def summaries(self) -> list[dict[str, Any]]:
@@ -238,25 +235,22 @@ class ConditionSweep:
         if _kind(cell) not in self.controllers:
             self.controllers[_kind(cell)] = scenario.make_controller()
         settings = self._describe(cell)
-        digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
-        if digest in known:
-            self.tables[digest] = known[digest]
+        name = digest(settings)
+        if name in known:
+            self.tables[name] = known[name]
         elif cell.condition in self.config.which:
             self._check(cell)
         self.cells.append(cell)
-        self._settings[cell], self._digests[cell] = settings, digest
+        self._settings[cell], self._digests[cell] = settings, name
 
     def _describe(self, cell: Cell) -> dict[str, Any]:
         """Return all that decides about the runs of a cell as plain JSON values, equal for cells that run the same."""
-        described = describe(cell.scenario, self.controllers[_kind(cell)])
-        chosen = ("controller_description", "profile_description", "arena", "distance", "duration")
-        settings = {name: described[name] for name in chosen}
-        settings |= {"robots": cell.robots, "runs": self.config.runs, "seed": self.config.seed}
-        settings |= {"incident": cell.incident, "triform": __version__}
+        controller = self.controllers[_kind(cell)]
+        settings = describe_runs(cell.scenario, controller, cell.robots, self.config.runs, self.config.seed)
+        settings |= {"incident": cell.incident}
         if cell.incident is not None:
             settings["incident_time"] = self.config.incident_time
-        described_plainly: dict[str, Any] = plain(settings)
-        return described_plainly
+        return settings
 
     def _check(self, cell: Cell) -> None:
         """Find out now what a run would stumble over after hours."""
@@ -270,14 +264,12 @@ class ConditionSweep:
 
     def _summary(self, cell: Cell) -> dict[str, Any]:
         table = self.table(cell)
-        runs, strict, success = len(table["run"]), int(table["strict"].sum()), int(table["success"].sum())
         return {
             "condition": cell.condition,
             "label": cell.label,
             "robots": cell.robots,
             **summarise(table),
-            "strict_interval": wilson_interval(strict, runs),
-            "success_interval": wilson_interval(success, runs),
+            **intervals(table),
             "collisions": int(table["collision"].sum()),
             "arena_hits": int(table["hit_arena"].sum()),
         }
@@ -343,10 +335,10 @@ def _read_tables(path: Path) -> tuple[dict[str, RunTable], set[Condition]]:
     if any(key not in rows for key in _KEYS):
         raise TriformError(f"{path} was not written by triform conditions; remove it or choose another output folder")
     tables: dict[str, RunTable] = {}
-    for digest in dict.fromkeys(rows["settings"]):
-        equal = rows["settings"] == digest
+    for settings in dict.fromkeys(rows["settings"]):
+        equal = rows["settings"] == settings
         # Cells with equal settings hold the same runs.
         for key in _KEYS:
             equal &= rows[key] == rows[key][np.argmax(equal)]
-        tables[digest] = {name: column[equal] for name, column in rows.items() if name not in _KEYS}
+        tables[settings] = {name: column[equal] for name, column in rows.items() if name not in _KEYS}
     return tables, set(rows["condition"])

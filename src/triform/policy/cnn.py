@@ -33,8 +33,8 @@ class ConvolutionalNetwork(PolicyNetwork):
         super().__init__()
         self.config = config
         step, channels = config.patch // 2, config.channels
-        self.halve = nn.Conv2d(1, config.stem, 6, stride=2, padding=2)
-        self.gather = nn.Conv2d(config.stem, channels, step, stride=step)
+        self.look = nn.Conv2d(1, config.stem, step + 2, stride=step, padding=1)
+        self.gather = nn.Conv2d(config.stem, channels, 3, stride=2, padding=1)
         self.mix = nn.ModuleList(nn.Conv2d(channels, channels, 3, padding=1) for _ in range(config.depth))
         self.squeeze = nn.Conv2d(channels, config.squeeze, 1)
         self.read = nn.Linear(config.squeeze * config.patches, config.dim)
@@ -44,8 +44,8 @@ class ConvolutionalNetwork(PolicyNetwork):
     def encode(self, tokens: TokenBatch) -> tuple[Tensor, Tensor]:
         """Features of the packed patches (K, channels) and of the maps (M, D)."""
         maps, owner = dense_maps(tokens, self.config)
-        # From M x 1 x H x H over M x stem x H/2 x H/2 to the grid, M x channels x columns x columns.
-        x = functional.relu(self.gather(functional.relu(self.halve(maps))))
+        # From M x 1 x H x H over a grid of half patches to that of patches, M x channels x columns x columns.
+        x = functional.relu(self.gather(functional.relu(self.look(maps))))
         for layer in self.mix:
             x = x + functional.relu(layer(x))
         patches = x.flatten(2).transpose(1, 2)[owner, tokens.positions]

@@ -38,8 +38,8 @@ def build_cnn_graph(config: CnnConfig, weights: bytes, file_name: str) -> bytes:
     graph = Graph(weights, file_name)
     step, channels, size = config.patch // 2, config.channels, config.map_size
     x = graph.reshape(graph.op("Cast", "maps", to=TensorProto.FLOAT), -1, 1, size, size)
-    x = _convolution(graph, "halve", x, (config.stem, 1, 6), step=2, margin=2)
-    x = _convolution(graph, "gather", x, (channels, config.stem, step), step=step)
+    x = _convolution(graph, "look", x, (config.stem, 1, step + 2), step=step, margin=1)
+    x = _convolution(graph, "gather", x, (channels, config.stem, 3), step=2, margin=1)
     for layer in range(config.depth):
         x = graph.op("Add", x, _convolution(graph, f"mix.{layer}", x, (channels, channels, 3), margin=1))
     x = _convolution(graph, "squeeze", x, (config.squeeze, channels, 1))

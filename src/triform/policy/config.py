@@ -69,7 +69,7 @@ class CnnConfig:
     Attributes:
         map_size: Cells along each side of the occupancy map.
         patch: Cells along each side of a patch, which becomes one cell of the grid; an even number.
-        stem: Channels after the first strided convolution, which halves the map.
+        stem: Channels after the first strided convolution, which has two cells along each side of a patch.
         channels: Channels of the grid.
         depth: Residual convolutions on the grid.
         squeeze: Channels of the grid that the map's features are read from.
@@ -80,12 +80,12 @@ class CnnConfig:
 
     map_size: int = 100
     patch: int = 10
-    stem: int = 16
-    channels: int = 64
+    stem: int = 32
+    channels: int = 48
     depth: int = 3
-    squeeze: int = 24
-    dim: int = 128
-    mlp: int = 256
+    squeeze: int = 16
+    dim: int = 96
+    mlp: int = 192
     outputs: int = 4
 
     def __post_init__(self) -> None:
@@ -94,7 +94,7 @@ class CnnConfig:
             self.map_size % self.patch == 0,
             f"a map of {self.map_size} cells does not divide into patches of {self.patch}",
         )
-        require(self.patch % 2 == 0, f"patch is {self.patch}; it must be even, because the first convolution halves it")
+        require(self.patch % 2 == 0, f"patch is {self.patch}; it must be even, because it is halved once")
 
     @property
     def attention(self) -> Literal["occupied"]:
@@ -136,9 +136,9 @@ class GnnConfig:
         reach: Robots within this distance hear each other [d*]; 2.1 is how far a LiDAR of 2 d* shows centres of robots.
     """
 
-    dim: int = 96
+    dim: int = 80
     rounds: int = 3
-    mlp: int = 192
+    mlp: int = 144
     outputs: int = 4
     reach: float = 2.1
 

@@ -175,15 +175,13 @@ PRESETS = {
 
 #: What the policy that learned the triangulating law is compared with, trained on the same scenes in the same way: a
 #: convolutional network, a graph network whose robots talk, and the paper's network, which attends to every patch.
-_BASELINES: dict[str, tuple[Network, float]] = {
-    "cnn": (CnnConfig(), 2e-3),
-    "gnn": (GnnConfig(), 2e-3),
-    "dense": (NetworkConfig(outputs=4, attention="all"), 4e-4),
-}
 PRESETS |= {
-    name: replace(PRESETS["default"], preset=name, network=network, learning_rate=learning_rate)
-    for name, (network, learning_rate) in _BASELINES.items()
+    name: replace(PRESETS["default"], preset=name, network=network)
+    for name, network in {"cnn": CnnConfig(), "gnn": GnnConfig()}.items()
 }
+PRESETS["dense"] = replace(
+    PRESETS["default"], preset="dense", network=NetworkConfig(outputs=4, attention="all"), learning_rate=4e-4
+)
 
 
 def get_preset(name: str) -> TrainConfig:
