@@ -87,6 +87,7 @@ class Train:
         maps: Maps to train on. The preset's if omitted.
         teacher: Who labels: ``expert``, ``expert-sensed`` or ``expert-odd``. The data set's or the
             preset's if omitted.
+        rounds: Shares of the training after which the learner itself drives teams. The preset's if omitted.
         learning_rate: Peak learning rate. The preset's if omitted.
         seed: Seed of weights and data. The preset's if omitted.
         precision: Arithmetic of matrix products: ``float32``, ``medium`` (whichever float32 PyTorch computes fastest)
@@ -102,6 +103,7 @@ class Train:
     data: Path | None = None
     maps: int | None = None
     teacher: str | None = None
+    rounds: tuple[float, ...] | None = None
     learning_rate: float | None = None
     seed: int | None = None
     precision: Literal["float32", "medium", "bfloat16"] | None = None
@@ -123,7 +125,7 @@ class Train:
         if self.threads < 1:
             raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
         torch.set_num_threads(self.threads)
-        preset, given = get_preset(self.preset), _given(self, "maps", "teacher", "learning_rate", "seed", "precision")
+        preset, given = get_preset(self.preset), _given(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision")
         if self.data is not None and self.teacher is None and preset.scenes is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(preset, **given)

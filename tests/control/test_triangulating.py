@@ -378,7 +378,7 @@ def test_constants_that_make_no_sense_are_refused(name: str, value: float) -> No
         TriangulatingLaw(**{name: value})
 
 
-def test_settings_that_make_no_sense_are_refused() -> None:
+def test_chosenthat_make_no_sense_are_refused() -> None:
     for name in ("sight", "loose_width", "strain_width"):
         with pytest.raises(ConfigurationError, match=f"{name} of the law is 0"):
             TriangulatingLaw(**{name: 0.0})
@@ -394,11 +394,6 @@ def test_settings_that_make_no_sense_are_refused() -> None:
 
 def test_the_description_names_every_constant() -> None:
     law = replace(LAW, gain=1.5)
-    described = Triangulating(0.8, 0.3, law, 0.1).description
-    assert described == {
-        "name": "triangulating",
-        "distance": 0.8,
-        "max_speed": 0.3,
-        "blocking_radius": 0.1,
-        "law": dict(zip(NAMES, law.constants, strict=True)),
-    }
+    chosen = {"distance": 0.8, "max_speed": 0.3, "blocking_radius": 0.1}
+    described = {"name": "triangulating", **chosen, "law": dict(zip(NAMES, law.constants, strict=True))}
+    assert Triangulating(law=law, **chosen).description == described

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from triform.control import Teacher, expert_variant
-from triform.dataset import FreshBatch, StateConfig, draw_fresh, neighbours
+from triform.dataset import COLUMNS, FreshBatch, StateConfig, draw_fresh, neighbours
 from triform.geometry import gabriel_graph, world_to_body
 from triform.types import ConfigurationError, MapConfig, ScanConfig
 
@@ -22,11 +22,12 @@ def draw(seed: int, teacher: str = "expert-odd", **states: object) -> FreshBatch
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["expert", "expert-sensed", "expert-odd"]))
 def test_commands_are_the_teachers_sum_over_the_neighbours(seed: int, teacher: str) -> None:
     batch = draw(seed, teacher)
-    place, edge = batch.neighbours[..., :2], batch.neighbours[..., 2:]
+    place, terms, edge = batch.neighbours[..., :2], batch.neighbours[..., 2:4], batch.neighbours[..., 4:5]
     length = np.linalg.norm(place, axis=-1, keepdims=True)
     pull = edge * (length - 1) / np.maximum(length, 1e-12) * place
-    total = pull.sum(axis=1)
-    total = total + expert_variant(teacher).odd_gain * np.stack([-total[:, 1], total[:, 0]], axis=-1)
+    wanted = pull + expert_variant(teacher).odd_gain * np.stack([-pull[..., 1], pull[..., 0]], axis=-1)
+    np.testing.assert_allclose(terms, wanted, atol=1e-8)
+    total = wanted.sum(axis=1)
     speed = np.linalg.norm(total, axis=-1, keepdims=True)
     expected = total / np.maximum(speed, 1.0)
     np.testing.assert_allclose(batch.commands[:, :2], expected, atol=1e-9)
@@ -69,17 +70,28 @@ def test_the_same_generator_draws_the_same_batch() -> None:
     assert first.maps.shape != other.maps.shape or not np.array_equal(first.maps, other.maps)
 
 
-def test_neighbours_are_the_others_seen_from_each_robot() -> None:
+@pytest.mark.parametrize("name", ["expert", "expert-sensed", "expert-odd"])
+def test_neighbours_are_the_others_seen_from_each_robot(name: str) -> None:
     rng = np.random.default_rng(0)
     poses = np.concatenate([rng.uniform(0, 4, (6, 5, 2)), rng.uniform(-3, 3, (6, 5, 1))], axis=-1)
-    around = neighbours(poses, 2.0).reshape(6, 5, 4, 3)
-    graph = gabriel_graph(poses[..., :2], 2.0)
+    teacher = Teacher(name, distance=1.2)
+    around = neighbours(poses, teacher)
+    assert around.shape == (30, 4, COLUMNS)
+    around = around.reshape(6, 5, 4, COLUMNS)
+    graph = gabriel_graph(poses[..., :2], teacher.variant.sensing_range)
     for e in range(6):
         for i in range(5):
             others = [j for j in range(5) if j != i]
             expected = world_to_body(poses[e, others, :2] - poses[e, i, :2], poses[e, i, 2])
             np.testing.assert_allclose(around[e, i, :, :2], expected, atol=1e-12)
-            np.testing.assert_array_equal(around[e, i, :, 2], graph[e, i, others])
+            linked = graph[e, i, others]
+            length = np.linalg.norm(expected, axis=1, keepdims=True)
+            pull = np.where(linked[:, None], (length - 1.2) / length, 0.0) * expected
+            term = pull + teacher.variant.odd_gain * np.stack([-pull[:, 1], pull[:, 0]], axis=1)
+            np.testing.assert_allclose(around[e, i, :, 2:4], term, atol=1e-8)
+            np.testing.assert_array_equal(around[e, i, :, 4], linked)
+            shared = [(graph[e, i] & graph[e, j]).any() for j in others]
+            np.testing.assert_array_equal(around[e, i, :, 5], shared)
 
 
 @pytest.mark.parametrize(

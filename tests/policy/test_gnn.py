@@ -151,6 +151,8 @@ def test_wrong_input_is_refused(exported: Path) -> None:
         TeamRuntime(exported).commands(replace(graph, robots=3))
     with pytest.raises(ConfigurationError, match="growing offsets"):
         hear(some_poses(0, 4), np.array([0, 3]), np.array([0.1]), 2.0)
+    with pytest.raises(ConfigurationError, match="in float32 only"):
+        export_policy(exported, graph, "int8")
     with pytest.raises(ConfigurationError, match="rounds"):
         GnnConfig(rounds=0)
     with pytest.raises(ConfigurationError, match="reach"):

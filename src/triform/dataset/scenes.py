@@ -21,7 +21,7 @@ from triform.simulation.lidar import scan_rays
 from triform.simulation.profiles import ROBOMASTER_EP
 from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, require
 
-#: Robots that a view tells of, at most; the farther ones are left out.
+#: Robots that a view tells of, at most; any others are left out.
 SEEN = 24
 #: Robots farther than this from the one that looks do not matter [d*].
 _REACH = 2.8
@@ -67,8 +67,8 @@ class SceneConfig:
             value = getattr(self, name)
             require(0 <= value <= 1, f"{name} of scenes is {value}; it must lie in [0, 1]")
         require(
-            1 <= self.sizes[0] <= self.sizes[1],
-            f"sizes of scenes are {self.sizes}; a least and a largest team size are needed",
+            1 <= self.sizes[0] <= self.sizes[1] <= 60,
+            f"sizes of scenes are {self.sizes}; a least and a largest team size, of at most 60, are needed",
         )
         require(
             len(self.jitter) > 0 and all(0 <= value < np.inf for value in self.jitter),

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from triform.files import sha256
-from triform.policy.config import Network, describe_network, read_network
+from triform.policy.config import GnnConfig, Network, describe_network, read_network
 from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError, require
 
 _FORMAT = "triform-policy"
@@ -64,6 +64,10 @@ class PolicySpec:
         require(
             self.precision in get_args(Precision),
             f"precision is {self.precision!r}; it must be {' or '.join(get_args(Precision))}",
+        )
+        require(
+            self.precision == "float32" or not isinstance(self.network, GnnConfig),
+            "a graph network is exported in float32 only, because 8 bits are rounded by the common range of all robots",
         )
         if self.distances is not None:
             low, high = self.distances

@@ -176,12 +176,15 @@ PRESETS = {
 #: What the policy that learned the triangulating law is compared with, trained on the same scenes in the same way: a
 #: convolutional network, a graph network whose robots talk, and the paper's network, which attends to every patch.
 PRESETS |= {
-    name: replace(PRESETS["default"], preset=name, network=network)
-    for name, network in {"cnn": CnnConfig(), "gnn": GnnConfig()}.items()
+    "cnn": replace(PRESETS["default"], preset="cnn", network=CnnConfig()),
+    "gnn": replace(PRESETS["default"], preset="gnn", network=GnnConfig()),
+    "dense": replace(
+        PRESETS["default"],
+        preset="dense",
+        network=NetworkConfig(outputs=4, attention="all"),
+        learning_rate=4e-4,
+    ),
 }
-PRESETS["dense"] = replace(
-    PRESETS["default"], preset="dense", network=NetworkConfig(outputs=4, attention="all"), learning_rate=4e-4
-)
 
 
 def get_preset(name: str) -> TrainConfig:
