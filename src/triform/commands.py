@@ -125,7 +125,10 @@ class Train:
         if self.threads < 1:
             raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
         torch.set_num_threads(self.threads)
-        preset, given = get_preset(self.preset), _given(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision")
+        preset, given = (
+            get_preset(self.preset),
+            _given(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision"),
+        )
         if self.data is not None and self.teacher is None and preset.scenes is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(preset, **given)

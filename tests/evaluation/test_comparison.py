@@ -98,6 +98,7 @@ def test_a_plain_policy_has_the_weights_of_the_command_line():
 
 def test_all_controllers_are_compared_by_default():
     assert ReproduceConfig().compare == (
-        "policy:default", "policy:large", "expert", "expert-sensed", "expert-odd", "scan-pipeline",
+        "policy:default", "policy:paper", "expert", "expert-sensed", "triangulating", "scan-pipeline",
+        "scan-triangulating",
     )  # fmt: skip
     assert len(Comparison.begin(ReproduceConfig(compare=("expert", "scan-pipeline"))).waiting) == 2

@@ -14,6 +14,9 @@ from triform.types import ConfigurationError, FloatArray, Scan, ScanConfig, View
 #: Robots whose commands keep a thread busy for a few milliseconds.
 _ROBOTS_PER_THREAD = 64
 
+#: By then every robot has had its first scan [s].
+_FIRST_SCAN = 1.0
+
 
 def to_twists(answers: FloatArray, push: FloatArray | None, spec: PolicySpec, scale: float) -> FloatArray:
     """Body twists (M, 3) of a network's answers (M, 3 or 4), with random pushes (M, 2) and rest, scaled to d*."""
@@ -31,7 +34,8 @@ class LearnedPolicy:
     """Scan -> occupancy map -> network -> body twist, the same for every robot; a ``Controller[View]``.
 
     A policy that learned the triangulating law gives a mean velocity and the amplitude of a random push upon it, which
-    the robot's own generator draws. All lengths scale with the prescribed distance.
+    the robot's own generator draws. All lengths scale with the prescribed distance. A robot that sees nobody has lost
+    its team, and if the policy so says it searches at random; the network has nothing to say then.
     """
 
     privileged = False
@@ -88,7 +92,10 @@ class LearnedPolicy:
         def drive(first: int, last: int) -> None:
             for begin in range(first, last, SCANS_AT_ONCE):
                 some = robots[begin : min(begin + SCANS_AT_ONCE, last)]
-                answers = self._runtime.commands(packer.pack(ranges[some], None if moved is None else moved[some]))
+                packed = packer.pack(ranges[some], None if moved is None else moved[some])
+                answers = self._runtime.commands(packed)
+                if self._spec.search_push > 0.0 and view.time >= _FIRST_SCAN:
+                    answers[packed.counts == 0] = (0.0, 0.0, 0.0, self._spec.search_push)
                 flat[some] = to_twists(answers, None if push is None else push[some], self._spec, self._scale)
 
         in_parts(drive, len(robots), len(robots), _ROBOTS_PER_THREAD)

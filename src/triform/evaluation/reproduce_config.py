@@ -63,11 +63,12 @@ class ReproduceConfig(BulkScenario):
     seed: int = 7
     compare: tuple[str, ...] = (
         "policy:default",
-        "policy:large",
+        "policy:paper",
         "expert",
         "expert-sensed",
-        "expert-odd",
+        "triangulating",
         "scan-pipeline",
+        "scan-triangulating",
     )
 
     def __post_init__(self) -> None:

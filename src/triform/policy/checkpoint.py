@@ -38,6 +38,7 @@ class PolicySpec:
             those of ``distance``, and are scaled to another d*.
         rest_speed: Slower commands, random push included, are none [m/s].
         least_push: Smaller amplitudes of the random push are none [m/s].
+        search_push: Amplitude of the push of a robot that sees nobody [m/s]; 0 asks the network.
         training: How it was trained, for the record: preset, teacher, seed, maps.
         weights_sha256: Checksum of the weights that belong to this description.
         onnx_sha256: Checksum of the exported graph; empty before the export.
@@ -51,6 +52,7 @@ class PolicySpec:
     distances: tuple[float, float] | None = None
     rest_speed: float = 0.0
     least_push: float = 0.0
+    search_push: float = 0.0
     training: dict[str, Any] = field(default_factory=dict)
     weights_sha256: str = ""
     onnx_sha256: str = ""
@@ -75,9 +77,14 @@ class PolicySpec:
                 0 < low <= self.distance <= high < math.inf,
                 f"distances {low} m to {high} m must hold the distance {self.distance} m",
             )
-        for name in ("rest_speed", "least_push"):
+        for name in ("rest_speed", "least_push", "search_push"):
             value = getattr(self, name)
             require(0 <= value < math.inf, f"{name} is {value} m/s; it must be finite and not negative")
+
+        require(
+            self.search_push == 0.0 or self.network.outputs == 4,
+            f"search_push is {self.search_push} m/s, but the network gives no amplitude of a push",
+        )
 
     def scale(self, distance: float) -> float:
         """Lengths for d* = ``distance`` [m] over those of the training.

@@ -182,6 +182,9 @@ def train(
             record = read_progress(out / STATE_FILE)
         stopping = held.enter_context(stop_requests())
         books = None
+        if isinstance(source, SceneSource):
+            # Validation draws from the teacher's states too.
+            source.visited = visit_states(out, config, learner.policy, 0, processes)
         if processes.first:
             policy = learner.policy
             books = Books(out, config, source, learner, policy, optimizer, record, report, save_seconds)

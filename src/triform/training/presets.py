@@ -42,6 +42,7 @@ class TrainConfig:
         law: Constants of the triangulating law.
         rest_speed: Slower commands of the policy are none [m/s].
         least_push: Smaller amplitudes of its random push are none [m/s].
+        search_push: Amplitude of the push of a robot that sees nobody [m/s]; 0 asks the network.
         rounds: Shares of the steps after which the learner itself drives teams, and where it went is drawn from too.
         scan: The LiDAR; in units of d* with ``scenes``, and so is the map.
         map: The occupancy map.
@@ -69,6 +70,7 @@ class TrainConfig:
     rounds: tuple[float, ...] = ()
     rest_speed: float = 0.0
     least_push: float = 0.0
+    search_push: float = 0.0
     scan: ScanConfig = field(default_factory=ScanConfig)
     map: MapConfig = field(default_factory=MapConfig)
 
@@ -125,6 +127,7 @@ class TrainConfig:
             None if self.scenes is None else self.scenes.distances,
             self.rest_speed,
             self.least_push,
+            self.search_push,
             self.record(),
         )
 
@@ -148,8 +151,9 @@ PRESETS = {
         teacher="triangulating",
         scenes=SceneConfig(),
         rounds=(0.2, 0.4, 0.6, 0.8),
-        rest_speed=0.02,
-        least_push=0.05,
+        rest_speed=0.015,
+        least_push=0.07,
+        search_push=0.5,
     ),
     # The published method with a recipe that works: a small network that learns an expert of springs.
     "springs": TrainConfig("springs", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=5_000_000),
