@@ -36,6 +36,9 @@ Floating = TypeVar("Floating", bound=np.floating[Any])
 RECORDS_PER_THREAD = 20_000
 #: Moments closer than this are the same moment [s].
 _SAME_TIME = 1e-9
+#: Speed of a base from which random pushes have their full size [m/s]; those of a slower one are smaller in proportion,
+#: because what is cut to one speed, push and command alike, would be hardly anything but push.
+_FULL_PUSH_SPEED = 0.5
 
 
 class World:
@@ -97,6 +100,8 @@ class World:
         self._noisy = bool(lidar.noise) or lidar.angle_noise > 0 or lidar.dropout > 0
         self._seeds = _sequences(seeds, worlds, self._noisy)
         self._push_keys = push_keys(self._seeds, worlds)
+        fastest = min(profile.drive.max_speed, profile.drive.max_axis_speed)
+        self._push_size = min(1.0, fastest / _FULL_PUSH_SPEED)
         self._rngs: dict[tuple[int, int], np.random.Generator] = {}
         self._profile = profile
         self._arena = Arena.open() if arena is None else arena
@@ -179,7 +184,7 @@ class World:
             active=self.active,
             time=self._time,
             poses=self.poses,
-            push=random_pushes(self._push_keys, self._active.shape[1], self._time),
+            push=self._push_size * random_pushes(self._push_keys, self._active.shape[1], self._time),
             moved=relative_poses(self._poses, self._shown, self._active) if self._profile.odometry else None,
         )
 
