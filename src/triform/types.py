@@ -145,8 +145,8 @@ class View:
         active: Which robots exist, shape (B, N); the others' scans are ``+inf`` throughout.
         time: Time since the start of the run [s].
         push: Two standard normal numbers of every robot's own seeded generator, drawn anew every ``PUSH_PERIOD``, for
-            controllers that push robots at random, shape (B, N, 2); smaller in proportion for bases that are slower than
-            the 0.5 m/s for which amplitudes are meant. ``None`` where the team has no such generator.
+            controllers that push robots at random, shape (B, N, 2); smaller in proportion for bases that are slower
+            than the 0.5 m/s for which amplitudes are meant. ``None`` where the team has no such generator.
         moved: Wheel odometry: the pose of every robot now in its own body frame at the moment that its scan shows
             [m, m, rad], shape (B, N, 3); ``None`` where the team has none.
     """

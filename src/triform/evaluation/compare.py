@@ -63,11 +63,12 @@ class CompareConfig(BulkScenario):
 
     controllers: tuple[str, ...] = (
         "policy:default",
-        "policy:paper",
-        "policy:large",
+        "policy:short",
         "policy:cnn",
         "policy:dense",
         "gnn:gnn",
+        "policy:paper",
+        "policy:large",
         "scan-pipeline",
         "scan-triangulating",
         "expert",
