@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -127,7 +128,30 @@ def _validation_count(config: TrainConfig) -> int:
     return max(1, round(VALIDATION_MAPS / config.batch_maps))
 
 
-class FreshSource:
+class DrawnSource(ABC):
+    """Mini-batches drawn anew, each a function of the seed and its number."""
+
+    def __init__(self, config: TrainConfig, maps: int) -> None:
+        """Draw ``maps`` maps as ``config`` says."""
+        self._config = config
+        self.steps = -(-maps // config.batch_maps)
+        #: What is drawn needs no data set.
+        self.checksum: str | None = None
+
+    def batches(self, start: int, processes: Processes = ALONE) -> Iterator[Callable[[], TrainBatch]]:
+        """Tasks that draw the mini-batches from number ``start`` on, or the share of a process in them, without end."""
+        return (partial(self._draw, _FRESH_STREAM, index, processes) for index in itertools.count(start))
+
+    def validation(self) -> list[TrainBatch]:
+        """Mini-batches that training never draws."""
+        return [self._draw(_VALIDATION_STREAM, index, ALONE) for index in range(_validation_count(self._config))]
+
+    @abstractmethod
+    def _draw(self, stream: int, index: int, processes: Processes) -> TrainBatch:
+        """Draw what of a mini-batch falls to a process."""
+
+
+class FreshSource(DrawnSource):
     """Demonstrations drawn anew for every mini-batch, each a function of the seed and its number."""
 
     def __init__(self, config: TrainConfig) -> None:
@@ -138,19 +162,8 @@ class FreshSource:
         """
         if config.maps is None:
             raise TriformError(f"the preset {config.preset!r} trains on stored demonstrations; give them with --data")
-        self._config = config
+        super().__init__(config, config.maps)
         self._teacher = Teacher(config.teacher, config.distance)
-        self.steps = -(-config.maps // config.batch_maps)
-        #: Fresh demonstrations need no data set.
-        self.checksum: str | None = None
-
-    def batches(self, start: int, processes: Processes = ALONE) -> Iterator[Callable[[], TrainBatch]]:
-        """Tasks that draw the mini-batches from number ``start`` on, or the share of a process in them, without end."""
-        return (partial(self._draw, _FRESH_STREAM, index, processes) for index in itertools.count(start))
-
-    def validation(self) -> list[TrainBatch]:
-        """Mini-batches that training never draws."""
-        return [self._draw(_VALIDATION_STREAM, index, ALONE) for index in range(_validation_count(self._config))]
 
     def _draw(self, stream: int, index: int, processes: Processes) -> TrainBatch:
         """Draw the parts of a mini-batch of one team size that fall to a process."""
@@ -234,7 +247,7 @@ class StoredSource:
         return _prepare(records.maps(), commands, around, self._config, whole)
 
 
-class SceneSource:
+class SceneSource(DrawnSource):
     """Views of random robots in random states, labelled by the triangulating law.
 
     Every mini-batch is a function of the seed, its number and the visited states.
@@ -244,20 +257,9 @@ class SceneSource:
         """Draw as ``config`` says; until ``visited`` is set, all states are random placements."""
         if config.maps is None or config.scenes is None:
             raise TriformError(f"the preset {config.preset!r} says neither how many maps to draw nor from which scenes")
-        self._config = config
+        super().__init__(config, config.maps)
         self._scenes = config.scenes
         self.visited = VisitedStates.none()
-        self.steps = -(-config.maps // config.batch_maps)
-        #: Fresh views need no data set.
-        self.checksum: str | None = None
-
-    def batches(self, start: int, processes: Processes = ALONE) -> Iterator[Callable[[], TrainBatch]]:
-        """Tasks that draw the mini-batches from number ``start`` on, or the share of a process in them, without end."""
-        return (partial(self._draw, _FRESH_STREAM, index, processes) for index in itertools.count(start))
-
-    def validation(self) -> list[TrainBatch]:
-        """Mini-batches that training never draws."""
-        return [self._draw(_VALIDATION_STREAM, index, ALONE) for index in range(_validation_count(self._config))]
 
     def _draw(self, stream: int, index: int, processes: Processes) -> TrainBatch:
         config = self._config
