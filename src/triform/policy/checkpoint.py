@@ -80,7 +80,6 @@ class PolicySpec:
         for name in ("rest_speed", "least_push", "search_push"):
             value = getattr(self, name)
             require(0 <= value < math.inf, f"{name} is {value} m/s; it must be finite and not negative")
-
         require(
             self.search_push == 0.0 or self.network.outputs == 4,
             f"search_push is {self.search_push} m/s, but the network gives no amplitude of a push",

@@ -23,3 +23,9 @@ def relative_poses(poses: FloatArray, origin: FloatArray, active: BoolArray) -> 
     turned = (turned + np.pi) % (2 * np.pi) - np.pi
     relative = np.stack([cos * d_x + sin * d_y, cos * d_y - sin * d_x, turned], axis=-1)
     return np.where(active[..., None], relative, 0.0)
+
+
+def halfway(start: FloatArray, end: FloatArray, active: BoolArray) -> FloatArray:
+    """Poses midway between two, shape (..., 3) like both; headings along the shorter turn, arguments as above."""
+    half = relative_poses(end, start, active)[..., 2:] / 2
+    return np.concatenate([(end + start)[..., :2] / 2, start[..., 2:] + half], axis=-1)

@@ -14,7 +14,7 @@ from triform.simulation._world_kernels import advance_worlds, record_contacts
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
 from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, angle_offsets, apply_noise, cast_scans, scan_rays
-from triform.simulation.odometry import relative_poses
+from triform.simulation.odometry import halfway, relative_poses
 from triform.simulation.profiles import Profile
 from triform.simulation.pushes import push_keys, random_pushes
 from triform.threads import in_parts
@@ -369,11 +369,8 @@ class World:
         if self._noisy:
             for b, i in np.argwhere(self._active):
                 ranges[b, i] = apply_noise(ranges[b, i], self._profile.lidar, self._rng(b, i))
-        shown = self._poses.copy()
-        if self._profile.lidar.rolling:
-            # Headings are averaged on the circle.
-            half = relative_poses(shown, self._turn_start, self._active)[..., 2:] / 2
-            shown = np.concatenate([(shown + self._turn_start)[..., :2] / 2, self._turn_start[..., 2:] + half], axis=-1)
+        rolling = self._profile.lidar.rolling
+        shown = halfway(self._turn_start, self._poses, self._active) if rolling else self._poses.copy()
         self._finished.append((self._turn * self._profile.lidar.period, ranges, shown))
 
     def _grow(self) -> None:
