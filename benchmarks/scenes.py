@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from benchmarks.settings import Settings
-from triform.control import make_controller
-from triform.evaluation import control
+from triform.control import drive, make_controller
 from triform.simulation import World, get_profile, starts
 from triform.types import FloatArray, PrivilegedView, Scan
 
@@ -38,7 +37,7 @@ def closed_loop_scans(robots: int, settings: Settings) -> Scan:
             seen.append(view.scans.ranges.copy())
         step += 1
 
-    control(world, make_controller("policy", threads=1), duration, look)
+    drive(world, make_controller("policy", threads=1), duration, look)
     return Scan(np.concatenate(seen), world.profile.lidar.scan)
 
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from triform.control import CONTROLLERS, make_controller
-from triform.evaluation import Trajectory, control, rollout
+from triform.control import CONTROLLERS, drive, make_controller
+from triform.evaluation import Trajectory, rollout
 from triform.types import ConfigurationError, PrivilegedView, Scan, ScanConfig, TriformError, View
 
 
@@ -57,14 +57,14 @@ def test_rollout_records_poses_and_commands_on_the_same_clock():
 
 def test_every_period_senses_decides_and_moves_in_this_order():
     team, seen = Team(), []
-    control(team, Forward(), 0.5, lambda view, commands: seen.append((view.time, commands.shape)))
+    drive(team, Forward(), 0.5, lambda view, commands: seen.append((view.time, commands.shape)))
     assert team.events == ["observe", "apply"] * 2
     assert seen == [(0.0, (2, 3, 3)), (0.25, (2, 3, 3))]
 
 
 def test_any_team_can_be_driven_without_true_poses():
     team = BlindTeam(1, 1)
-    control(team, Forward(), 1.0)
+    drive(team, Forward(), 1.0)
     assert team.poses[0, 0, 0] == pytest.approx(1.0)
 
 
@@ -72,7 +72,7 @@ def test_any_team_can_be_driven_without_true_poses():
 def test_a_controller_that_needs_true_poses_is_refused_by_a_team_without(name):
     team = BlindTeam()
     with pytest.raises(TriformError, match=f"^the controller '{name}' needs everybody's true pose[^\n]+$"):
-        control(team, make_controller(name), 1.0)
+        drive(team, make_controller(name), 1.0)
     assert team.events == ["observe"]
     assert not team.poses.any()
 

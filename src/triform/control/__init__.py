@@ -1,7 +1,8 @@
-"""Controllers behind one interface: expert, scan pipeline and learned policy."""
+"""Controllers behind one interface, and the loop that drives any team with any of them."""
 
 from triform.control.expert import EXPERTS, Expert, ExpertVariant, expert_into, expert_variant
 from triform.control.learned import LearnedPolicy
+from triform.control.loop import control_steps, drive
 from triform.control.registry import CONTROLLERS, make_controller, shipped_weights, weights_folder
 from triform.control.safety import Guard, Guarded, reaction_time
 from triform.control.scan_pipeline import ScanPipeline
@@ -22,6 +23,8 @@ __all__ = [
     "Teacher",
     "Triangulating",
     "TriangulatingLaw",
+    "control_steps",
+    "drive",
     "expert_into",
     "expert_variant",
     "make_controller",

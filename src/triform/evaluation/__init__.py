@@ -7,7 +7,7 @@ by their own names, so that evaluating needs none of it.
 from triform.evaluation.dynamic import ChangedRuns, DynamicConfig, run_changes, run_dynamic, summarise_changes
 from triform.evaluation.evaluate import EvaluateConfig, Evaluation, evaluate, run_evaluation
 from triform.evaluation.metrics import RunTable, converge_time, measure, summarise, trailing_mean
-from triform.evaluation.rollout import Trajectory, control, rollout
+from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.scenario import Scenario
 
 __all__ = [
@@ -18,7 +18,6 @@ __all__ = [
     "RunTable",
     "Scenario",
     "Trajectory",
-    "control",
     "converge_time",
     "evaluate",
     "measure",

@@ -14,12 +14,12 @@ import numpy as np
 from rich.console import Console
 
 from triform import __version__
+from triform.control import control_steps
 from triform.engines import Engine, Report
 from triform.evaluation.bulk import Chunk, MeasureRuns, PortableController, measure_groups
 from triform.evaluation.evaluate import describe
 from triform.evaluation.metrics import RunTable, concatenate, summarise, wilson_interval
 from triform.evaluation.output import plain
-from triform.evaluation.rollout import control_steps
 from triform.evaluation.scenario import Scenario
 from triform.evaluation.tables import format_value, progress_bar, read_parquet, write_parquet
 from triform.types import ConfigurationError, Controller, PrivilegedView, TriformError

@@ -6,20 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from triform.control import CONTROLLERS
+from triform.control import CONTROLLERS, control_steps
 from triform.control.registry import DEFAULT_WEIGHTS
 from triform.evaluation.dynamic import CHANGE_TIME
 from triform.evaluation.metrics import WINDOW
 from triform.evaluation.page import spell_command
-from triform.evaluation.rollout import control_steps
 from triform.evaluation.scenario import BulkScenario
 from triform.simulation import get_profile
 from triform.types import ConfigurationError, require
 
-What = Literal["table1", "fig3", "fig4", "fig5", "comparison", "all"]
-KEYS = ["table1", "fig3", "fig4", "fig5", "comparison"]
+What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "comparison", "all"]
+KEYS = ["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "comparison"]
 
-#: The profile of the row in Table I that stands for the paper's real robots.
+#: The profile of Fig. 9 and of the row in Table I that stand for the paper's real robots.
 REAL_PROFILE = "hardware"
 
 #: Said in every command even where they are the defaults, because a reader asks for them first.
@@ -113,7 +112,7 @@ class ReproduceConfig(BulkScenario):
             f"{WINDOW:g} s to measure after the team changes at {CHANGE_TIME:g} s",
         )
         control_steps(self.duration, self.robot.control_period)
-        if self.what in ("table1", "all"):
+        if self.what in ("table1", "fig9", "all"):
             try:
                 control_steps(self.duration, get_profile(REAL_PROFILE).control_period)
             except ConfigurationError as error:

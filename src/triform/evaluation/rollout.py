@@ -1,4 +1,4 @@
-"""Algorithm 2: every robot, at every control period, senses, decides and moves."""
+"""What happened in runs: poses and commands, recorded while Algorithm 2 drives a team."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, Team, TriformError, View, require
+from triform.control import drive
+from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, Team
 
-ViewT = TypeVar("ViewT", bound=View)
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -66,37 +66,6 @@ class Trajectory:
         )
 
 
-def control(
-    team: Team[ViewT],
-    controller: Controller[ViewT],
-    duration: float,
-    on_step: Callable[[ViewT, FloatArray], None] | None = None,
-) -> None:
-    """Drive any team with any controller: the loop of Algorithm 2.
-
-    Args:
-        team: The body: the built-in world, a simulator, or one real robot.
-        controller: What turns a view into body twists.
-        duration: How long to drive [s]; a whole number of control periods.
-        on_step: Called once per control period with the view and the commands, before they are applied.
-
-    Raises:
-        ConfigurationError: ``duration`` is not a positive whole number of control periods.
-        TriformError: The controller needs true poses and the team does not show them; no command has been sent then.
-    """
-    for _ in range(control_steps(duration, team.control_period)):
-        view = team.observe()
-        if controller.privileged and not isinstance(view, PrivilegedView):
-            raise TriformError(
-                f"the controller {controller.description['name']!r} needs everybody's true pose, which this team "
-                "does not show; only a controller that is not privileged can drive it"
-            )
-        commands = controller.command(view)
-        if on_step is not None:
-            on_step(view, commands)
-        team.apply(commands, team.control_period)
-
-
 def rollout(
     team: Team[PrivilegedView],
     controller: Controller[PrivilegedView],
@@ -132,24 +101,10 @@ def rollout(
         if on_step is not None:
             on_step()
 
-    control(team, controller, duration, record_step)
+    drive(team, controller, duration, record_step)
     record(team.observe())
     time, poses, active = zip(*records, strict=True)
     return Trajectory(np.array(time), np.stack(poses, axis=1), np.stack(active, axis=1), np.stack(commands, axis=1))
-
-
-def control_steps(duration: float, control_period: float) -> int:
-    """Return how many control periods [s] make up ``duration`` [s].
-
-    Raises:
-        ConfigurationError: It is not a positive whole number.
-    """
-    steps = round(duration / control_period) if np.isfinite(duration) else 0
-    require(
-        steps >= 1 and abs(steps * control_period - duration) < 1e-6,
-        f"duration is {duration:g} s; it must be a positive whole number of control periods of {control_period:g} s",
-    )
-    return steps
 
 
 def _widen(array: NDArray[Scalar], robots: int, fill: float) -> NDArray[Scalar]:

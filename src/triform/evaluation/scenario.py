@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from triform.control import Guard, Guarded, make_controller, reaction_time
+from triform.control import Guard, Guarded, control_steps, make_controller, reaction_time
 from triform.engines import Engine, EngineName, check_engine, open_engine
 from triform.evaluation.metrics import WINDOW, RunTable, measure
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.robot import LIDAR_REACH, Conditions
-from triform.evaluation.rollout import Trajectory, control_steps, rollout
+from triform.evaluation.rollout import Trajectory, rollout
 from triform.simulation import Arena, Profile, World, get_arena, get_profile, starts
 from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, PrivilegedView, require
 

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from triform.control import EXPERTS, Triangulating, TriangulatingLaw, weights_folder
+from triform.control import EXPERTS, Triangulating, TriangulatingLaw, drive, weights_folder
 from triform.evaluation.reproduce_config import Contestant
-from triform.evaluation.rollout import control
 from triform.evaluation.scenario import Scenario, world_seeds
 from triform.policy.checkpoint import WEIGHTS_FILE
 from triform.threads import limit_threads
@@ -39,7 +38,7 @@ def record_views(scenario: Scenario, seed: int) -> list[PrivilegedView]:
             seen.append(view)
 
     first = int(np.ceil(_FIRST / world.control_period))
-    control(world, Triangulating(scenario.distance), (first + _MOMENTS * _PERIODS) * world.control_period, look)
+    drive(world, Triangulating(scenario.distance), (first + _MOMENTS * _PERIODS) * world.control_period, look)
     return seen[::_PERIODS]
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from triform.control import control_steps
 from triform.engines import Engine, Report
 from triform.evaluation.bulk import PortableController, by_group
 from triform.evaluation.condition_figures import FailedRun, conditions_figure, failures_figure
@@ -23,7 +24,7 @@ from triform.evaluation.measured import describe_runs, digest, intervals
 from triform.evaluation.metrics import RunTable, concatenate, summarise
 from triform.evaluation.output import prepare_folder, write_json
 from triform.evaluation.page import write_pages
-from triform.evaluation.rollout import Trajectory, control_steps
+from triform.evaluation.rollout import Trajectory
 from triform.evaluation.scenario import chunks, world_seeds
 from triform.evaluation.style import save_figure
 from triform.evaluation.tables import (

@@ -1,0 +1,1 @@
+"""Bodies other than the built-in world: simulators and real robots."""
