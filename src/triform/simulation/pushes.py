@@ -12,8 +12,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from triform.simulation.profiles import Drive
 from triform.types import PUSH_PERIOD, FloatArray
 
+#: Speed of a base from which pushes have their full size [m/s].
+_FULL_PUSH_SPEED = 0.5
 #: Moments closer than this are the same moment [s].
 _SAME_TIME = 1e-9
 
@@ -42,6 +45,15 @@ def _fill(keys, slot, out):  # type: ignore[no-untyped-def]
             angle = 2.0 * np.pi * ((second >> np.uint64(11)) / 2.0**53)
             out[b, i, 0] = radius * np.cos(angle)
             out[b, i, 1] = radius * np.sin(angle)
+
+
+def push_size(drive: Drive) -> float:
+    """Share of their full size that pushes have for robots with this base.
+
+    Those of a slow base are smaller in proportion, because what is cut to one speed, push and command alike, would be
+    hardly anything but push.
+    """
+    return min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_PUSH_SPEED)
 
 
 def push_keys(seeds: Sequence[np.random.SeedSequence], worlds: int) -> NDArray[np.uint64]:
