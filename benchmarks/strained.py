@@ -42,8 +42,8 @@ def main() -> None:
     """Print the table."""
     scenario = Scenario(controller="policy", threads=1)
     poses = starts(ROBOTS, RUNS, SEED)
-    trajectory, world = scenario.run(poses, world_seeds(ROBOTS, SEED, range(RUNS)))
-    errors = scenario.measure(trajectory, world)["formation_error"]
+    trajectory, table = scenario.run(poses, world_seeds(ROBOTS, SEED, range(RUNS)))
+    errors = table["formation_error"]
     ends = trajectory.poses[:, -1, :, :2]
     graphs = gabriel_graph(ends)
     complete = np.array([is_complete(graph) for graph in graphs])

@@ -17,6 +17,7 @@ _TITLES = {
     "policy": "The policy against the dense network",
     "share": "Share of the machine's matrix-multiply rate",
     "step": "One robot, from scan to command",
+    "lidar": "Reading a LiDAR",
     "training": "Training",
     "evaluation": "triform evaluate, Table I",
     "scaling": "From 100 to 100,000 robots in one world",

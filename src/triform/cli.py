@@ -25,6 +25,7 @@ _EXTRAS = {
     "tensorboard": "train",
     "onnx": "train",
     "ray": "ray",
+    "serial": "robot",
 }
 
 
@@ -47,9 +48,9 @@ def _export() -> tuple[Any, Callable[..., Any]]:
 
 
 def _evaluate() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation import EvaluateConfig, run_evaluation
+    from triform.evaluation.recorded import RecordedConfig, run_evaluate
 
-    return EvaluateConfig, run_evaluation
+    return RecordedConfig, run_evaluate
 
 
 def _dynamic() -> tuple[Any, Callable[..., Any]]:
@@ -104,15 +105,36 @@ def _demo() -> tuple[Any, Callable[..., Any]]:
     return DemoConfig, run_demo
 
 
+def _drive() -> tuple[Any, Callable[..., Any]]:
+    from triform.robots.drive import DriveConfig, run_drive
+
+    return DriveConfig, run_drive
+
+
+def _bench() -> tuple[Any, Callable[..., Any]]:
+    from triform.evaluation.robot_bench import BenchConfig, run_bench
+
+    return BenchConfig, run_bench
+
+
+def _emulate() -> tuple[Any, Callable[..., Any]]:
+    from triform.robots.emulate import EmulateConfig, run_emulate
+
+    return EmulateConfig, run_emulate
+
+
 #: What each command does, and how to load its options and its function.
 COMMANDS: dict[str, tuple[str, Callable[[], tuple[Any, Callable[..., Any]]]]] = {
     "demo": ("run one team and draw it", _demo),
-    "evaluate": ("measure a controller on many starts", _evaluate),
+    "evaluate": ("measure a controller on many starts, or recorded runs", _evaluate),
     "dynamic": ("measure teams that a robot joins or leaves", _dynamic),
     "conditions": ("measure a controller under many conditions", _conditions),
     "ablate": ("measure the triangulating law without each of its terms", _ablate),
     "compare": ("measure controllers side by side", _compare),
     "reproduce": ("write the paper's tables and figures", _reproduce),
+    "drive": ("drive one robot, LiDAR to wheels", _drive),
+    "emulate": ("emulate robots, byte for byte, to drive without any", _emulate),
+    "bench": ("time one robot's way from scan to command on this computer", _bench),
     "collect": ("collect demonstrations", _collect),
     "train": ("train a policy", _train),
     "export": ("make a trained policy run without PyTorch", _export),

@@ -156,8 +156,8 @@ def test_the_smallest_teams_have_defined_results(robots, tmp_path, console):
 
 def test_arena_hits_are_reported(tmp_path):
     scenario = Scenario(controller="expert-sensed", arena="room-6", duration=6.0, guard=False)
-    trajectory, world = scenario.run(np.array([[[2.8, 0.0, 0.0], [2.3, 0.0, 0.0]]]), world_seeds(2, 0, [0]))
-    assert scenario.measure(trajectory, world)["hit_arena"].all()
+    _, table = scenario.run(np.array([[[2.8, 0.0, 0.0], [2.3, 0.0, 0.0]]]), world_seeds(2, 0, [0]))
+    assert table["hit_arena"].all()
 
 
 def test_starts_that_the_arena_blocks_are_refused_before_anything_runs(monkeypatch):

@@ -36,18 +36,20 @@ def test_all_results_are_written_and_tied_together(tmp_path, console):
     assert pages == [tmp_path / "index.md", tmp_path / "index.html"]
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
-        "index.md", "index.html", "table1.json", "table1.parquet", "fig3.json", "fig3.parquet", "fig3.png",
-        "fig4.json", "fig4.parquet", "fig4.png", "fig5.json", "fig5.parquet", "fig5.png",
+        "index.md", "index.html", "table1.json", "table1.parquet",
+        "fig2.json", "fig2.parquet", "fig2.png", "fig3.json", "fig3.parquet", "fig3.png",
+        "fig4.json", "fig4.parquet", "fig4.png", "fig5.json", "fig5.parquet", "fig5.png", "fig9.json", "fig9.parquet",
+        "fig9.png",
         "comparison.json", "comparison.parquet", "comparison.png", "comparison.md",
     }  # fmt: skip
     markdown = pages[0].read_text()
     titles = re.findall(r"^## ([^:\n]*)", markdown, re.MULTILINE)
-    assert titles == ["Table I", "Fig. 3", "Fig. 4", "Fig. 5", "Controllers side by side"]
+    assert titles == ["Table I", "Fig. 2", "Fig. 3", "Fig. 4", "Fig. 5", "Fig. 9", "Controllers side by side"]
     assert "| 5 | 100 % |" in markdown
     linked = set(re.findall(r"\]\(([^)]+)\)", markdown))
     assert linked == names - {"index.md", "index.html"}
     page = pages[1].read_text()
-    assert len(re.findall(r'src="data:image/png;base64,', page)) == 4
+    assert len(re.findall(r'src="data:image/png;base64,', page)) == 6
     assert "within 6 s and stays there" in page
     assert "http" not in page
     table = json.loads((tmp_path / "table1.json").read_text())
@@ -148,7 +150,7 @@ def test_the_page_says_which_change_is_shown(formed, tmp_path, console, monkeypa
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"what": "fig9"}, "what is 'fig9'"),
+        ({"what": "fig6"}, "what is 'fig6'"),
         ({"runs": 0}, "runs is 0"),
         ({"seed": -1}, "seed is -1"),
         ({"duration": 25.0}, "duration is 25 s; all needs at least 26 s"),

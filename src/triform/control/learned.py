@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -40,12 +41,15 @@ class LearnedPolicy:
 
     privileged = False
 
-    def __init__(self, runtime: PolicyRuntime, distance: float = 1.0) -> None:
+    def __init__(
+        self, runtime: PolicyRuntime, distance: float = 1.0, clock: Callable[[], object] | None = None
+    ) -> None:
         """Drive robots with a loaded policy.
 
         Args:
             runtime: The policy.
             distance: Prescribed neighbour distance d* [m].
+            clock: Called whenever maps are made and the network is about to see them, to tell the time of the two.
 
         Raises:
             ConfigurationError: If the policy was not trained for the distance, or does not give body twists.
@@ -61,6 +65,7 @@ class LearnedPolicy:
         self._spec = spec
         self._network = map_network(spec.network)
         self._distance = distance
+        self._clock = clock
         self._scan: ScanConfig | None = None
         self._packer: ScanPacker | None = None
 
@@ -93,6 +98,8 @@ class LearnedPolicy:
             for begin in range(first, last, SCANS_AT_ONCE):
                 some = robots[begin : min(begin + SCANS_AT_ONCE, last)]
                 packed = packer.pack(ranges[some], None if moved is None else moved[some])
+                if self._clock is not None:
+                    self._clock()
                 answers = self._runtime.commands(packed)
                 if self._spec.search_push > 0.0 and view.time >= _FIRST_SCAN:
                     answers[packed.counts == 0] = (0.0, 0.0, 0.0, self._spec.search_push)

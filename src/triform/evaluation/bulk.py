@@ -6,7 +6,6 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -76,11 +75,10 @@ class MeasureRuns:
 
     def __call__(self, chunk: Chunk, report: Report) -> RunTable:
         """One row per run; reports robots times control periods."""
-        runs, robots = chunk.poses.shape[:2]
+        robots = chunk.poses.shape[1]
         seeds = world_seeds(robots, self.seed, chunk.indices)
-        step = partial(report, runs * robots)
-        trajectory, world = self.scenario.run(chunk.poses, seeds, self.portable.controller, step)
-        return {"run": chunk.indices} | self.scenario.measure(trajectory, world)
+        _, table = self.scenario.run(chunk.poses, seeds, self.portable.controller, report)
+        return {"run": chunk.indices} | table
 
 
 def measure_groups(

@@ -61,10 +61,9 @@ def run_demo(config: DemoConfig, console: Console) -> list[Path]:
     began = time.perf_counter()
     poses = config.draw_starts(config.robots, 1, config.seed, first=config.index)
     seeds = world_seeds(config.robots, config.seed, [config.index])
-    bar = progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps)
+    bar = progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps * config.robots)
     with limit_threads(config.threads), bar as advance:
-        trajectory, world = config.run(poses, seeds, controller, advance)
-    table = config.measure(trajectory, world)
+        trajectory, table = config.run(poses, seeds, controller, advance)
     result = {"robots": config.robots, **summarise(table)}
     took = time.perf_counter() - began
     title = f"{config.controller}: {config.duration:g} s simulated in {took:.1f} s"

@@ -28,7 +28,7 @@ from triform.evaluation.tables import (
     rich_table,
     write_parquet,
 )
-from triform.simulation import World
+from triform.simulation import SimulatedTeam
 from triform.threads import limit_threads
 from triform.types import Controller, IntArray, PrivilegedView, require
 
@@ -135,15 +135,19 @@ def run_changes(
     """
     indices = range(runs.first, runs.first + runs.count)
     poses = config.draw_starts(config.robots, runs.count, config.seed, first=runs.first)
-    world = config.make_world(poses, world_seeds(config.robots, config.seed, indices, _WORLD_STREAM))
-    step = None if on_step is None else partial(on_step, runs.count * config.robots)
-    before = rollout(world, controller, config.change_time, step)
     draws = world_seeds(config.robots, config.seed, indices, _CHANGE_STREAM)
-    changed = change_teams(world, runs.change, draws, config.distance)
-    after = rollout(world, controller, config.duration - config.change_time, step)
-    table = _measure_change(config, before, after, world) | {"changed_robot": changed}
-    table |= {"run": np.array(indices), "change": np.array([runs.change] * runs.count)}
-    return before.then(after), table
+    spare = 1 if runs.change == "addition" else 0
+    parts = []
+    for some, team in config.open_teams(poses, world_seeds(config.robots, config.seed, indices, _WORLD_STREAM), spare):
+        step = None if on_step is None else partial(on_step, poses[some, :, 0].size)
+        before = rollout(team, controller, config.change_time, step)
+        changed = change_teams(team, runs.change, draws[some], config.distance)
+        after = rollout(team, controller, config.duration - config.change_time, step)
+        table = _measure_change(config, before, after, team) | {"changed_robot": changed}
+        parts.append((before.then(after), table))
+    trajectories, tables = zip(*parts, strict=True)
+    order = {"run": np.array(indices), "change": np.array([runs.change] * runs.count)}
+    return Trajectory.side_by_side(trajectories), concatenate(tables) | order
 
 
 def measure_changes(
@@ -175,7 +179,9 @@ def measure_changes(
         yield CHANGES[number], concatenate(tables)
 
 
-def change_teams(world: World, change: Change, draws: list[np.random.SeedSequence], distance: float = 1.0) -> IntArray:
+def change_teams(
+    world: SimulatedTeam, change: Change, draws: list[np.random.SeedSequence], distance: float = 1.0
+) -> IntArray:
     """Add a robot to, or remove one from, every world with the prescribed ``distance``; return which, shape (B,)."""
     changed = np.empty(len(draws), dtype=np.int64)
     for index, draw in enumerate(draws):
@@ -188,7 +194,7 @@ def change_teams(world: World, change: Change, draws: list[np.random.SeedSequenc
     return changed
 
 
-def _measure_change(config: DynamicConfig, before: Trajectory, after: Trajectory, world: World) -> RunTable:
+def _measure_change(config: DynamicConfig, before: Trajectory, after: Trajectory, world: SimulatedTeam) -> RunTable:
     earlier = measure(before, config.distance)
     later = config.measure(after, world)
     return later | {

@@ -178,12 +178,12 @@ def figure_4(runs: RunTable, controller: str) -> Figure:
     tables = [select(runs, runs["robots"] == robots) for robots in sizes]
     with figure_style():
         figure, (errors, times, success) = plt.subplots(1, 3, figsize=(10.2, 3.3))
-        _boxes(errors, sizes, [100 * table["formation_error"] for table in tables])
+        draw_boxes(errors, sizes, [100 * table["formation_error"] for table in tables])
         errors.axhspan(*(100 * value for value in paper.MEDIAN_ERROR), color=VERMILLION, alpha=0.25, linewidth=0)
         errors.axhline(100 * TOLERANCE, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)))
         errors.set_ylabel("formation error [%]")
         errors.set_title("a  formation error", loc="left")
-        _boxes(times, sizes, [table["converge_time"] for table in tables])
+        draw_boxes(times, sizes, [table["converge_time"] for table in tables])
         converged = [int(np.isfinite(table["converge_time"]).sum()) for table in tables]
         times.set_xticks(range(len(sizes)), [f"{robots}\nn={n}" for robots, n in zip(sizes, converged, strict=True)])
         times.axhline(paper.CONVERGE_TIME, color=VERMILLION, linewidth=1.6, alpha=0.6)
@@ -312,7 +312,8 @@ def _draw_target(axes: Axes, distance: float) -> None:
     axes.axhline(distance, color=GREEN, linewidth=0.9)
 
 
-def _boxes(axes: Axes, sizes: list[int], columns: list[FloatArray]) -> None:
+def draw_boxes(axes: Axes, sizes: list[int], columns: list[FloatArray]) -> None:
+    """Draw one box for each column of values that are defined, labelled by team size, from zero up."""
     defined = [column[np.isfinite(column)] for column in columns]
     boxes = axes.boxplot(
         defined,

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from triform.evaluation.dynamic import change_teams
-from triform.evaluation.metrics import RunTable
+from triform.evaluation.metrics import RunTable, concatenate
 from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.scenario import Scenario, world_seeds
-from triform.simulation import World
+from triform.simulation import SimulatedTeam
 from triform.types import SENSING_RANGE, Controller, FloatArray, IntArray, PrivilegedView
 
 Incident = Literal["stuck", "leaves", "meet", "pushed"]
@@ -65,7 +66,7 @@ def run_incident(
     seed: int,
     moment: float,
     controller: Controller[PrivilegedView],
-    on_step: Callable[[], None] | None = None,
+    on_step: Callable[[float], None] | None = None,
 ) -> tuple[Trajectory, RunTable]:
     """Run teams to which something happens, all at once.
 
@@ -81,7 +82,7 @@ def run_incident(
         seed: Seed of the runs.
         moment: When a robot leaves or is pushed [s].
         controller: The controller.
-        on_step: Called once per control period, for progress.
+        on_step: Called with the number of control periods times robots that were just done, for progress.
 
     Returns:
         The whole trajectories, and one row of measures per run: from ``moment`` to the end if something happens then.
@@ -90,25 +91,43 @@ def run_incident(
         ConfigurationError: The arena has no place for a start.
     """
     robots = poses.shape[1]
-    world = scenario.make_world(poses, world_seeds(robots, seed, indices, _WORLD_STREAM))
     draws = world_seeds(robots, seed, indices, _INCIDENT_STREAM)
+    parts = []
+    for runs, team in scenario.open_teams(poses, world_seeds(robots, seed, indices, _WORLD_STREAM)):
+        step = None if on_step is None else partial(on_step, poses[runs, :, 0].size)
+        parts.append(_run_incident(scenario, incident, team, draws[runs], moment, controller, step))
+    trajectories, tables = zip(*parts, strict=True)
+    return Trajectory.side_by_side(trajectories), concatenate(tables)
+
+
+def _run_incident(
+    scenario: Scenario,
+    incident: Incident,
+    team: SimulatedTeam,
+    draws: list[np.random.SeedSequence],
+    moment: float,
+    controller: Controller[PrivilegedView],
+    on_step: Callable[[], None] | None,
+) -> tuple[Trajectory, RunTable]:
+    """Run and measure one batch of worlds, each with a generator for what happens in it."""
     if incident == "stuck":
+        robots = team.active.shape[1]
         stuck = np.array([np.random.default_rng(draw).integers(robots) for draw in draws])
         controller = _OneStands(controller, stuck)
     if incident in ("stuck", "meet"):
-        trajectory = rollout(world, controller, scenario.duration, on_step)
-        return trajectory, scenario.measure(trajectory, world)
-    before = rollout(world, controller, moment, on_step)
+        trajectory = rollout(team, controller, scenario.duration, on_step)
+        return trajectory, scenario.measure(trajectory, team)
+    before = rollout(team, controller, moment, on_step)
     if incident == "leaves":
-        change_teams(world, "removal", draws)
+        change_teams(team, "removal", draws)
     else:
         for index, draw in enumerate(draws):
-            push_out(world, index, scenario.distance, np.random.default_rng(draw))
-    after = rollout(world, controller, scenario.duration - moment, on_step)
-    return before.then(after), scenario.measure(after, world)
+            push_out(team, index, scenario.distance, np.random.default_rng(draw))
+    after = rollout(team, controller, scenario.duration - moment, on_step)
+    return before.then(after), scenario.measure(after, team)
 
 
-def push_out(world: World, index: int, distance: float, rng: np.random.Generator) -> int:
+def push_out(world: SimulatedTeam, index: int, distance: float, rng: np.random.Generator) -> int:
     """Push a robot of world ``index``, which prescribes ``distance``, away from its team's centre, and return which."""
     robots = np.flatnonzero(world.active[index])
     poses = world.poses[index, robots]

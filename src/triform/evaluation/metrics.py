@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -215,7 +216,7 @@ def select(table: RunTable, rows: BoolArray) -> RunTable:
     return {name: column[rows] for name, column in table.items()}
 
 
-def concatenate(tables: list[RunTable]) -> RunTable:
+def concatenate(tables: Sequence[RunTable]) -> RunTable:
     """Return the rows of several tables with the same columns, in order."""
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 

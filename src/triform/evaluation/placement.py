@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from triform.simulation import Arena, World, sample_addition
+from triform.simulation import Arena, SimulatedTeam, World, sample_addition
 from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError
 
 #: A robot that joins is given up after so many places that the arena blocks.
@@ -44,7 +44,9 @@ def blocked_starts(world: World) -> BoolArray:
     return np.asarray(world.hit_arena | separated, dtype=np.bool_)
 
 
-def sample_clear_addition(world: World, index: int, rng: np.random.Generator, distance: float = 1.0) -> FloatArray:
+def sample_clear_addition(
+    world: SimulatedTeam, index: int, rng: np.random.Generator, distance: float = 1.0
+) -> FloatArray:
     """Return a pose for a robot that joins world ``index``, clear of walls and pillars.
 
     Poses of ``sample_addition`` are drawn until the arena does not overlap the footprint and no wall stands between

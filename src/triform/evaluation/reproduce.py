@@ -1,11 +1,11 @@
-"""The paper's Table I and Fig. 3, 4 and 5 with our numbers beside its own, and controllers side by side."""
+"""The paper's Table I and Fig. 2 to 5 and 9 with our numbers beside its own, and controllers side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import fields
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,7 +14,6 @@ from rich.console import Console
 
 from triform.engines import Engine
 from triform.evaluation import paper
-from triform.evaluation.bulk import Chunk, MeasureRuns, PortableController, measure_groups
 from triform.evaluation.comparison import Comparison
 from triform.evaluation.dynamic import (
     CHANGE_TIME,
@@ -33,6 +32,7 @@ from triform.evaluation.metrics import TOLERANCE, WINDOW, RunTable, concatenate,
 from triform.evaluation.output import prepare_folder, write_json
 from triform.evaluation.page import Section, read_sections, write_markdown, write_pages
 from triform.evaluation.reproduce_config import KEYS, REAL_PROFILE, Contestant, ReproduceConfig, What
+from triform.evaluation.reproduce_robots import REAL_PUBLISHED, SNAPSHOT_SIZES, Shown, show_real, show_snapshots
 from triform.evaluation.rollout import Trajectory
 from triform.evaluation.scenario import Scenario, world_seeds
 from triform.evaluation.style import save_figure
@@ -105,9 +105,11 @@ class _Reproduction:
         self.evaluations: dict[Contestant, Evaluation] = {}
         makers: dict[str, Callable[[], Iterator[Section]]] = {
             "table1": self.table_1,
+            "fig2": self.figure_2,
             "fig3": self.figure_3,
             "fig4": self.figure_4,
             "fig5": self.figure_5,
+            "fig9": self.figure_9,
             "comparison": self.comparison,
         }
         self.makers = makers if config.what == "all" else {config.what: makers[config.what]}
@@ -135,10 +137,16 @@ class _Reproduction:
         """All runs of Table I and Fig. 4."""
         return self._evaluate(self.config.own, "evaluating")
 
+    @cached_property
+    def real_like(self) -> Evaluation:
+        """Runs of four robots like the paper's real ones, for Table I and Fig. 9."""
+        changes = {"profile": REAL_PROFILE, "robots": (paper.REAL_ROBOTS,)}
+        return self._run(self.config.own, "hardware profile", **changes)
+
     def table_1(self) -> Iterator[Section]:
         """Success of every team size, and four robots like the paper's real ones."""
         results = self.evaluation.results
-        real = self._hardware_like()
+        (real,) = self.real_like.results
         headings = [
             "robots", "success paper", "success ours", "sensed ours", "strict ours",
             "error paper", "error ours", "converge paper", "converge ours",
@@ -178,24 +186,21 @@ class _Reproduction:
             "success": paper.SUCCESS,
             "formation_error_median": paper.MEDIAN_ERROR,
             "converge_time_median": paper.CONVERGE_TIME,
-            "real_robots": {
-                "robots": paper.REAL_ROBOTS,
-                "formation_error_median": paper.REAL_MEDIAN_ERROR,
-                "converge_time_median": paper.REAL_CONVERGE_TIME,
-            },
+            "real_robots": REAL_PUBLISHED,
         }
         self._write(section, self.evaluation.as_json() | {"hardware_profile": real, "paper": published})
         yield section
 
+    def figure_2(self) -> Iterator[Section]:
+        """Teams of two sizes at several moments."""
+        trajectories, tables = self._first_runs(SNAPSHOT_SIZES)
+        shown = show_snapshots(trajectories, tables, self.scene, self.config.seed)
+        values = {"config": describe(self.config, self.controller), "results": shown.results}
+        yield self._show("fig2", shown, trajectory_table(trajectories), values)
+
     def figure_3(self) -> Iterator[Section]:
         """Distance histories over trajectories of one run per team size."""
-        trajectories, tables = [], []
-        total = self.config.steps * sum(SIZES)
-        with self._progress("running", total) as advance:
-            for robots in SIZES:
-                trajectory, table = self._first_run(robots, advance)
-                trajectories.append(trajectory)
-                tables.append(table)
+        trajectories, tables = self._first_runs(SIZES)
         save_figure(figure_3(trajectories, self.scene), self.config.output / "fig3.png")
         write_parquet(self.config.output / "fig3.parquet", trajectory_table(trajectories))
         results = [{"robots": int(table["robots"][0]), **summarise(table)} for table in tables]
@@ -261,6 +266,12 @@ class _Reproduction:
         self._write(section, {"config": describe(self.config, self.controller), "results": summaries})
         yield section
 
+    def figure_9(self) -> Iterator[Section]:
+        """Box plots of four robots like the paper's real ones."""
+        real = self.real_like
+        values = real.as_json() | {"paper": REAL_PUBLISHED}
+        yield self._show("fig9", show_real(real), real.runs, values)
+
     def comparison(self) -> Iterator[Section]:
         """Several controllers on the same starts; a section over those that are finished after each of them."""
         compared, folder = self.compared, self.config.output
@@ -283,38 +294,32 @@ class _Reproduction:
     def _evaluate(self, contestant: Contestant, description: str) -> Evaluation:
         """Return all runs of a controller, which are computed once."""
         if contestant not in self.evaluations:
-            config = self._derive(
-                EvaluateConfig,
-                controller=contestant.controller,
-                weights=contestant.weights,
-                robots=SIZES,
-                runs=self.config.runs,
-                seed=self.config.seed,
-            )
-            with self._progress(description, 1.0) as advance:
-                self.evaluations[contestant] = evaluate(config, advance, engine=self.engine)
+            self.evaluations[contestant] = self._run(contestant, description, robots=SIZES)
         return self.evaluations[contestant]
+
+    def _run(self, contestant: Contestant, description: str, **changes: Any) -> Evaluation:
+        """Run and measure a controller on the starts of this reproduction."""
+        named = {"controller": contestant.controller, "weights": contestant.weights}
+        config = self._derive(EvaluateConfig, runs=self.config.runs, seed=self.config.seed, **named, **changes)
+        with self._progress(description, 1.0) as advance:
+            return evaluate(config, advance, engine=self.engine)
 
     def _derive(self, kind: type[_Derived], **changes: Any) -> _Derived:
         """Return a configuration of another kind for the same scenario."""
         shared = {field.name: getattr(self.config, field.name) for field in fields(Scenario)}
         return kind(**(shared | changes))
 
-    def _first_run(self, robots: int, advance: Advance) -> tuple[Trajectory, RunTable]:
-        poses = self.config.draw_starts(robots, 1, self.config.seed)
-        seeds = world_seeds(robots, self.config.seed, [0])
-        trajectory, world = self.config.run(poses, seeds, self.controller, partial(advance, robots))
-        return trajectory, self.config.measure(trajectory, world)
-
-    def _hardware_like(self) -> dict[str, Any]:
-        """Measure four robots with the hardware profile."""
-        scenario = self._derive(Scenario, profile=REAL_PROFILE)
-        poses = scenario.draw_starts(paper.REAL_ROBOTS, self.config.runs, self.config.seed)
-        runs = Chunk(np.arange(self.config.runs), poses)
-        task = MeasureRuns(scenario, self.config.seed, PortableController(scenario, self.controller))
-        with self._progress("hardware profile", scenario.steps * poses.shape[0] * poses.shape[1]) as advance:
-            ((_, table),) = measure_groups(task, [runs], self.engine, advance)
-        return {"robots": paper.REAL_ROBOTS, **summarise(table)}
+    def _first_runs(self, sizes: Sequence[int]) -> tuple[list[Trajectory], list[RunTable]]:
+        """Run and measure the first start of every team size."""
+        trajectories, tables = [], []
+        with self._progress("running", self.config.steps * sum(sizes)) as advance:
+            for robots in sizes:
+                poses = self.config.draw_starts(robots, 1, self.config.seed)
+                seeds = world_seeds(robots, self.config.seed, [0])
+                trajectory, table = self.config.run(poses, seeds, self.controller, advance)
+                trajectories.append(trajectory)
+                tables.append(table)
+        return trajectories, tables
 
     def _changing(self, robots: int, runs: int) -> DynamicConfig:
         return self._derive(DynamicConfig, robots=robots, runs=runs, seed=self.config.seed)
@@ -354,6 +359,14 @@ class _Reproduction:
         self, key: str, title: str, text: str, table: tuple[list[str], list[list[str]]], image: str = ""
     ) -> Section:
         return Section(key, title, text, self.config.command(key), *table, image, [f"{key}.json", f"{key}.parquet"])
+
+    def _show(self, key: str, shown: Shown, runs: RunTable, values: dict[str, Any]) -> Section:
+        """Write a figure and its data, and return its section."""
+        save_figure(shown.figure, self.config.output / f"{key}.png")
+        write_parquet(self.config.output / f"{key}.parquet", runs)
+        section = self._section(key, shown.title, shown.text, shown.table, f"{key}.png")
+        self._write(section, values)
+        return section
 
     def _write(self, section: Section, values: dict[str, Any]) -> None:
         write_json(self.config.output / f"{section.key}.json", values | {"section": section.as_json()})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -51,6 +51,12 @@ class Trajectory:
         """Return the records from ``time`` [s] on."""
         first = int(np.searchsorted(self.time, time - 1e-6))
         return Trajectory(self.time[first:], self.poses[:, first:], self.active[:, first:], self.commands[:, first:])
+
+    @classmethod
+    def side_by_side(cls, parts: Sequence[Trajectory]) -> Trajectory:
+        """Return the runs of several trajectories with the same records and N, one behind the other."""
+        poses, active, commands = ([getattr(part, name) for part in parts] for name in ("poses", "active", "commands"))
+        return cls(parts[0].time, np.concatenate(poses), np.concatenate(active), np.concatenate(commands))
 
     def then(self, later: Trajectory) -> Trajectory:
         """Return this trajectory followed by ``later``, whose first record replaces this one's last.

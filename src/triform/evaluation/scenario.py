@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from triform.control import Guard, Guarded, control_steps, make_controller, reaction_time
 from triform.engines import Engine, EngineName, check_engine, open_engine
-from triform.evaluation.metrics import WINDOW, RunTable, measure
+from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.robot import LIDAR_REACH, Conditions
 from triform.evaluation.rollout import Trajectory, rollout
-from triform.simulation import Arena, Profile, World, get_arena, get_profile, starts
+from triform.simulation import Arena, Profile, SimulatedTeam, World, get_arena, get_profile, starts
 from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, PrivilegedView, require
 
 #: Robots of one chunk of runs: enough that the fixed cost of a step is small, few enough that the last chunks of an
 #: evaluation keep every processor busy. The same on every machine, so that no result can depend on it.
 ROBOTS_PER_CHUNK = 256
+
+TeamName = Literal["world", "gazebo"]
+#: How Gazebo's robots move.
+Base = Literal["planar", "mecanum"]
+#: Step of Gazebo's physics for each of them [s].
+GAZEBO_STEPS: dict[Base, float] = {"planar": 0.01, "mecanum": 0.001}
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,9 @@ class Scenario:
         controller: Name of the controller, one of triform.control.CONTROLLERS: policy, expert, expert-sensed,
             expert-odd, triangulating, scan-pipeline, scan-triangulating or gnn.
         weights: Weights of policy or gnn: a name of shipped ones or a checkpoint; the default ones if omitted.
+        team: Which body: world is the built-in one, gazebo is Gazebo 11, see docs/gazebo.md.
+        drive: How Gazebo's robots move: by a force in the plane (planar), or on four mecanum wheels (mecanum), whose
+            physics takes 1 ms steps and much longer.
         profile: Name of the robot profile: ideal or hardware.
         arena: Name of the arena: open, room-6 or pillars.
         distance: Prescribed neighbour distance d* [m]. A robot sees as far as 2 d*, and starts grow with d*.
@@ -51,6 +61,8 @@ class Scenario:
 
     controller: str = "policy"
     weights: str | None = None
+    team: TeamName = "world"
+    drive: Base = "planar"
     profile: str = "ideal"
     arena: str = "open"
     distance: float = 1.0
@@ -78,6 +90,11 @@ class Scenario:
             "least that long",
         )
         require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        require(self.team in ("world", "gazebo"), f"team is {self.team!r}; allowed are world, gazebo")
+        require(
+            self.drive == "planar" or self.team == "gazebo",
+            f"drive is {self.drive!r}, but the built-in world has no wheels; it goes with team gazebo",
+        )
         _ = self.conditions
 
     @property
@@ -128,13 +145,47 @@ class Scenario:
         """Return random starts (runs, robots, 3) for the prescribed distance, as ``triform.simulation.starts``."""
         return starts(robots, runs, seed, first, distance=self.distance)
 
-    def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence], **options: Any) -> World:
-        """Put robots at ``poses`` (B, N, 3) into B worlds with their own noise.
+    def open_teams(
+        self, poses: FloatArray, seeds: list[np.random.SeedSequence], spare: int = 0
+    ) -> Iterator[tuple[slice, SimulatedTeam]]:
+        """Put robots into worlds of their own, and give these all at once or, in Gazebo, one after another.
+
+        Args:
+            poses: Starts, shape (B, N, 3).
+            seeds: One for the noise of every world.
+            spare: How many robots may be added to every world.
+
+        Yields:
+            Which of the B runs, and their worlds, which end when the next are asked for.
+
+        Raises:
+            ConfigurationError: The arena has no place for a start.
+            TriformError: Gazebo is missing or fails.
+        """
+        if self.team == "world":
+            yield slice(0, len(poses)), self.make_world(poses, seeds)
+            return
+        from triform.robots.gazebo import GazeboServer, GazeboTeam
+
+        self.check_starts(poses)
+        first = 0
+        while first < len(poses):
+            settings: dict[str, Any] = {"drive": self.drive, "time_step": GAZEBO_STEPS[self.drive], "spare": spare}
+            with GazeboServer(self.robot, self.surroundings, poses.shape[1], **settings) as server:
+                # On wheels a run depends on those before it in the same process.
+                last = first + 1 if self.drive == "mecanum" else len(poses)
+                for index in range(first, last):
+                    run = slice(index, index + 1)
+                    yield run, GazeboTeam(server, poses[run], seeds[run])
+                first = last
+
+    def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence]) -> World:
+        """Put robots at ``poses`` (B, N, 3) into B built-in worlds with their own noise.
 
         Raises:
             ConfigurationError: The arena has no place for a start.
         """
-        world = World(poses, self.robot, self.surroundings, seeds, **options)
+        world = World(poses, self.robot, self.surroundings, seeds)
         self._refuse_blocked(blocked_starts(world), world.active.shape[1])
         return world
 
@@ -167,14 +218,32 @@ class Scenario:
         poses: FloatArray,
         seeds: list[np.random.SeedSequence],
         controller: Controller[PrivilegedView] | None = None,
-        on_step: Callable[[], None] | None = None,
-    ) -> tuple[Trajectory, World]:
-        """Run B worlds from ``poses`` (B, N, 3) and return what happened and the worlds as they ended."""
-        world = self.make_world(poses, seeds)
-        trajectory = rollout(world, controller or self.make_controller(), self.duration, on_step)
-        return trajectory, world
+        on_step: Callable[[float], None] | None = None,
+    ) -> tuple[Trajectory, RunTable]:
+        """Run and measure B worlds.
 
-    def measure(self, trajectory: Trajectory, world: World) -> RunTable:
+        Args:
+            poses: Starts, shape (B, N, 3).
+            seeds: One for the noise of every world.
+            controller: The scenario's own if omitted.
+            on_step: Called with the number of control periods times robots that were just done, for progress.
+
+        Returns:
+            What happened, and one row of measures per run.
+
+        Raises:
+            TriformError: As ``open_teams``.
+        """
+        driver = controller or self.make_controller()
+        parts = []
+        for runs, team in self.open_teams(poses, seeds):
+            step = None if on_step is None else partial(on_step, poses[runs, :, 0].size)
+            trajectory = rollout(team, driver, self.duration, step)
+            parts.append((trajectory, self.measure(trajectory, team)))
+        trajectories, tables = zip(*parts, strict=True)
+        return Trajectory.side_by_side(trajectories), concatenate(tables)
+
+    def measure(self, trajectory: Trajectory, world: SimulatedTeam) -> RunTable:
         """Measure every run of a trajectory that ended in ``world``."""
         return measure(
             trajectory,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -105,14 +104,12 @@ def run_cell(
     """
     cell, indices = runs.cell, range(runs.first, runs.first + runs.count)
     poses = incident_starts(cell.incident, cell.scenario, cell.robots, runs.count, config.seed, runs.first)
-    step = None if on_step is None else partial(on_step, runs.count * cell.robots)
     if cell.incident is None:
         seeds = world_seeds(cell.robots, config.seed, indices)
-        trajectory, world = cell.scenario.run(poses, seeds, controller, step)
-        table = cell.scenario.measure(trajectory, world)
+        trajectory, table = cell.scenario.run(poses, seeds, controller, on_step)
     else:
         trajectory, table = run_incident(
-            cell.scenario, cell.incident, poses, indices, config.seed, config.incident_time, controller, step
+            cell.scenario, cell.incident, poses, indices, config.seed, config.incident_time, controller, on_step
         )
     return trajectory, {"run": np.array(indices)} | table
 

@@ -26,6 +26,7 @@ from triform.simulation.profiles import (
     constant_noise,
     get_profile,
 )
+from triform.simulation.simulated import SimulatedTeam
 from triform.simulation.spawning import load_starts, sample_addition, square_side, starts
 from triform.simulation.world import World
 
@@ -41,6 +42,7 @@ __all__ = [
     "LidarConfig",
     "NoiseBand",
     "Profile",
+    "SimulatedTeam",
     "World",
     "advance_pose",
     "angle_offsets",

@@ -1,0 +1,10 @@
+"""Gazebo 11 in lock-step: its build, the world it simulates, and the process that runs it."""
+
+from __future__ import annotations
+
+from triform.robots.gazebo.installation import Installation, find_gazebo
+from triform.robots.gazebo.sdf import Base, write_world
+from triform.robots.gazebo.server import GazeboError, GazeboServer, State
+from triform.robots.gazebo.team import GazeboTeam
+
+__all__ = ["Base", "GazeboError", "GazeboServer", "GazeboTeam", "Installation", "State", "find_gazebo", "write_world"]
