@@ -1,0 +1,277 @@
+"""Drive one robot: its LiDAR in, its wheels out, and Algorithm 2's loop in between."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from rich.console import Console
+
+from triform.control import (
+    Guard,
+    Guarded,
+    LearnedPolicy,
+    control_steps,
+    drive,
+    make_controller,
+    reaction_time,
+    weights_folder,
+)
+from triform.control.detection import ROBOMASTER_EP_SIZE, detect_robots
+from triform.policy import PolicyRuntime
+from triform.robots.drive_status import Budget, StatusLine
+from triform.robots.ldrobot import MODELS, LidarModel, LidarPort
+from triform.robots.real import RealRobot, Step
+from triform.robots.recorder import Recorder
+from triform.robots.robomaster import USB_ADDRESS, WIFI_ADDRESS, RoboMaster
+from triform.robots.stop_signals import StopSignals
+from triform.simulation import HARDWARE, Drive
+from triform.threads import limit_threads
+from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, require
+
+#: How long a LiDAR may take to give its first scan, because it has to start turning [s].
+_FIRST_SCAN = 8.0
+
+
+@dataclass(frozen=True)
+class DriveConfig:
+    """Settings of a robot that drives.
+
+    Attributes:
+        lidar: Serial port of the LiDAR.
+        lidar_model: Kind of LiDAR: ld19, ld20 or ld14p.
+        address: Address of the base; 192.168.2.1, that of its own Wi-Fi, if omitted.
+        usb: Whether the base is on the USB cable, at 192.168.42.2.
+        local_address: Address of this computer as the base sees it; the system's choice if omitted.
+        controller: Name of a controller that needs nothing but scans: policy, scan-pipeline or scan-triangulating.
+        weights: Weights of policy: a name of shipped ones or a checkpoint; the default ones if omitted.
+        distance: Prescribed neighbour distance d* [m]; the same on all robots.
+        rate: Commands per second [Hz].
+        max_speed: Largest speed along x and along y [m/s].
+        max_turn_rate: Largest turn rate [rad/s].
+        watchdog: How long the base holds a command, and how late its answer may be [s]; longer than a control period.
+        duration: How long to drive [s]; until Ctrl-C if omitted.
+        dry_run: Whether commands are shown and not sent; no base is needed then.
+        record: Folder for a recording.
+        robot: Number of this robot in the recording.
+        start_pose: Where it starts in the recording, x, y and heading [m, m, rad].
+        seed: Of its random pushes, different on every robot; drawn anew every time if omitted.
+        mounting: Direction of the LiDAR's own zero in the robot's frame, counter-clockwise [rad].
+        footprint: Length and width of the robots [m].
+        odometry: Whether to use the odometry of the wheels.
+        guard: Whether a layer between controller and wheels keeps the robot from driving into what its scan shows.
+    """
+
+    lidar: str = "/dev/ttyUSB0"
+    lidar_model: Literal["ld19", "ld20", "ld14p"] = "ld20"
+    address: str | None = None
+    usb: bool = False
+    local_address: str | None = None
+    controller: str = "policy"
+    weights: str | None = None
+    distance: float = 1.0
+    rate: float = 8.0
+    max_speed: float = HARDWARE.drive.max_axis_speed
+    max_turn_rate: float = 1.0
+    watchdog: float = 0.4
+    duration: float | None = None
+    dry_run: bool = False
+    record: Path | None = None
+    robot: int = 0
+    start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seed: int | None = None
+    mounting: float = 0.0
+    footprint: tuple[float, float] = ROBOMASTER_EP_SIZE
+    odometry: bool = True
+    guard: bool = True
+
+    def __post_init__(self) -> None:
+        farthest = self.model.range_max / SENSING_RANGE
+        require(
+            0 < self.distance <= farthest,
+            f"distance is {self.distance} m; it must be positive and at most {farthest:g} m, because a robot uses 2 d* "
+            f"of the {self.model.range_max:g} m that its LiDAR reaches",
+        )
+        require(0 < self.rate < math.inf, f"rate is {self.rate} Hz; it must be positive and finite")
+        require(0 < self.max_speed < math.inf, f"max_speed is {self.max_speed} m/s; it must be positive and finite")
+        require(
+            0 < self.max_turn_rate < math.inf,
+            f"max_turn_rate is {self.max_turn_rate} rad/s; it must be positive and finite",
+        )
+        require(
+            self.control_period < self.watchdog < math.inf,
+            f"watchdog is {self.watchdog} s; it must be finite and longer than a control period of "
+            f"{self.control_period:g} s",
+        )
+        if self.duration is not None:
+            control_steps(self.duration, self.control_period)
+        require(not (self.usb and self.address), "both usb and address are given; one of them says where the base is")
+        require(self.robot >= 0, f"robot is {self.robot}; it must not be negative")
+        require(self.seed is None or self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        require(all(map(math.isfinite, self.start_pose)), f"start_pose is {self.start_pose}; it must be finite")
+        require(math.isfinite(self.mounting), f"mounting is {self.mounting} rad; it must be finite")
+        _ = Guard(self.footprint)
+
+    @property
+    def model(self) -> LidarModel:
+        """The LiDAR."""
+        return MODELS[self.lidar_model]
+
+    @property
+    def scan(self) -> ScanConfig:
+        """Shape of a turn: the robot uses 2 d* of what its LiDAR sees."""
+        return self.model.scan_config(SENSING_RANGE * self.distance)
+
+    @property
+    def control_period(self) -> float:
+        """Time between two commands [s]."""
+        return 1 / self.rate
+
+    @property
+    def base_address(self) -> str:
+        """Where the base is."""
+        return self.address or (USB_ADDRESS if self.usb else WIFI_ADDRESS)
+
+    @property
+    def limits(self) -> Drive:
+        """Speeds that commands are cut to."""
+        return Drive(max_axis_speed=self.max_speed, max_turn_rate=self.max_turn_rate)
+
+    def open_base(self) -> RoboMaster:
+        """Connect to the base.
+
+        Raises:
+            TriformError: It cannot be reached, refuses, or does not take the limits.
+        """
+        return RoboMaster(
+            self.base_address,
+            self.local_address,
+            self.watchdog,
+            max_speed=self.max_speed,
+            max_turn_rate=self.max_turn_rate,
+        )
+
+    def make_controller(self, clock: Callable[[], object]) -> Controller[View]:
+        """Make the controller, guarded if so asked.
+
+        Args:
+            clock: Called when the learned policy has made its map.
+
+        Raises:
+            TriformError: There is no such controller, it needs what a real robot cannot know, or its weights cannot be
+                used.
+        """
+        controller: Controller[View]
+        if self.controller == "policy":
+            runtime = PolicyRuntime(weights_folder(self.weights))
+            controller = LearnedPolicy(runtime, self.distance, clock)
+        else:
+            controller = make_controller(self.controller, self.distance, self.weights, footprint=self.footprint)
+        if controller.privileged:
+            raise TriformError(
+                f"the controller {self.controller!r} needs everybody's true pose, which no real robot knows; "
+                "policy, scan-pipeline and scan-triangulating need nothing but scans"
+            )
+        if not self.guard:
+            return controller
+        lag, period = HARDWARE.drive.lag, self.control_period
+        reaction = reaction_time(period, self.model.period, HARDWARE.latency, rolling=True, lag=lag)
+        limits = {"max_speed": self.limits.max_speed, "max_axis_speed": self.limits.max_axis_speed}
+        return Guarded(controller, Guard(self.footprint, reaction=reaction, **limits))
+
+
+def run_drive(config: DriveConfig, console: Console) -> None:
+    """Drive one robot, show how it does, and say at the end where the time went.
+
+    Args:
+        config: What to drive, and how.
+        console: Where to show the status line and the latencies.
+
+    Raises:
+        TriformError: The controller cannot be used, the LiDAR or the base is not there or is lost, or the folder of the
+            recording cannot be used. The wheels are stopped.
+        SystemExit: A signal ended the run, and all is stopped, shown and written.
+    """
+    budget, signals = Budget(), StopSignals()
+    controller = config.make_controller(budget.clock)
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if config.seed is None else config.seed
+
+    def warn(sentence: str) -> None:
+        console.print(f"warning: {sentence}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+    with limit_threads(1), ExitStack() as stack:
+        lidar = stack.enter_context(LidarPort(config.lidar, config.model, config.scan, config.mounting))
+        _warm_up(lidar, controller, config)
+        base = None
+        if not config.dry_run:
+            base = stack.enter_context(config.open_base())
+        recorder = None
+        if config.record is not None:
+            recorder = Recorder(config.record, config.scan.rays, config.robot, config.start_pose, warn)
+        wheels = "no wheels (dry run)" if base is None else f"the base at {config.base_address}"
+        console.print(f"{config.controller} drives {wheels} by the LiDAR at {config.lidar}", soft_wrap=True)
+        line = StatusLine(console, config.footprint, config.dry_run)
+
+        def tell(step: Step) -> None:
+            budget.add(step)
+            line.show(step)
+            if recorder is not None:
+                recorder.add(step)
+
+        facts = {
+            "settings": asdict(config) | {"seed": seed},
+            "controller": controller.description,
+            "began": datetime.now(UTC).isoformat(),
+        }
+        ended = "its time is over"
+        try:
+            with signals, line, _stopping(base):
+                robot = RealRobot(
+                    lidar,
+                    base,
+                    config.control_period,
+                    seed,
+                    config.limits,
+                    odometry=config.odometry,
+                    on_sent=tell,
+                    warn=warn,
+                )
+                drive(robot, controller, config.duration or math.inf, lambda *_: signals.check())
+        except (TriformError, SystemExit) as error:
+            ended = str(error)
+            raise
+        finally:
+            budget.print(console)
+            if recorder is not None:
+                recorder.finish({**facts, "ended": ended, "latency": budget.summary()})
+                console.print(f"recorded in {config.record}", soft_wrap=True)
+
+
+@contextmanager
+def _stopping(base: RoboMaster | None) -> Iterator[None]:
+    """Stop the wheels when the block is left, in whatever way."""
+    if base is None:
+        yield
+        return
+    try:
+        yield
+    except BaseException:
+        # A base that is lost cannot be told, and what went wrong first says more.
+        with suppress(TriformError):
+            base.stop()
+        raise
+    base.stop()
+
+
+def _warm_up(lidar: LidarPort, controller: Controller[View], config: DriveConfig) -> None:
+    """Wait for a scan and do all of a step but the wheels: compiled kernels are loaded before anything moves."""
+    turn = lidar.wait(time.monotonic(), _FIRST_SCAN)
+    detect_robots(Scan(turn.ranges, config.scan), config.footprint)
+    drive(RealRobot(lidar, None, config.control_period, 0, config.limits), controller, config.control_period)

@@ -1,0 +1,244 @@
+"""Robots to drive without robots: real protocols around one built-in world, in real time.
+
+To ``triform drive`` an emulated robot is a serial port and an address, byte for byte as the real ones are.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from ipaddress import AddressValueError, IPv4Address
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from rich.console import Console
+
+from triform.robots.ldrobot import MODELS, LidarEmulator, LidarModel
+from triform.robots.recorder import POSE_COLUMNS, CsvLog
+from triform.robots.robomaster import RoboMasterEmulator
+from triform.robots.stop_signals import StopSignals
+from triform.simulation import HARDWARE, Arena, LidarConfig, World, apply_noise, cast_rolling, get_arena, starts
+from triform.simulation.odometry import relative_poses
+from triform.types import SENSING_RANGE, FloatArray, ScanConfig, require
+
+#: Robots and rays move on by so much at a time [s].
+STEP = 0.01
+#: True poses are recorded every so many steps.
+_STEPS_PER_RECORD = 10
+#: More would need more than one processor.
+_MOST_ROBOTS = 50
+
+
+@dataclass(frozen=True)
+class EmulateConfig:
+    """Settings of emulated robots.
+
+    Attributes:
+        robots: Number of robots.
+        seed: The start is a function of team size, seed and index alone.
+        index: Which start: run ``index`` of an evaluation with the same team size and seed.
+        arena: Name of the arena: open, room-6 or pillars.
+        distance: Prescribed neighbour distance d* [m]; starts grow with it.
+        lidar_model: Kind of LiDAR: ld19, ld20 or ld14p.
+        latency: Time by which everything that a LiDAR sends is late [s]. The default, the serial line and computing
+            make up the hardware profile's 0.12 s until a command can use a finished scan.
+        address: Loopback address of the first robot's base; the others follow it.
+        local_address: Loopback address to drive the first robot from; the others follow it.
+        duration: How long to go on [s]; until Ctrl-C if omitted.
+        record: CSV file for the true poses; none if omitted.
+    """
+
+    robots: int = 4
+    seed: int = 7
+    index: int = 0
+    arena: str = "open"
+    distance: float = 1.0
+    lidar_model: Literal["ld19", "ld20", "ld14p"] = "ld20"
+    latency: float = 0.115
+    address: str = "127.0.1.1"
+    local_address: str = "127.0.2.1"
+    duration: float | None = None
+    record: Path | None = None
+
+    def __post_init__(self) -> None:
+        require(1 <= self.robots <= _MOST_ROBOTS, f"robots is {self.robots}; 1 to {_MOST_ROBOTS} can be emulated")
+        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        require(self.index >= 0, f"index is {self.index}; it must not be negative")
+        farthest = self.model.range_max / SENSING_RANGE
+        require(
+            0 < self.distance <= farthest,
+            f"distance is {self.distance} m; it must be positive and at most {farthest:g} m",
+        )
+        require(0 <= self.latency < math.inf, f"latency is {self.latency} s; it must be finite and not negative")
+        require(
+            self.duration is None or 0 < self.duration < math.inf,
+            f"duration is {self.duration} s; it must be positive and finite",
+        )
+
+        for name in ("address", "local_address"):
+            first = getattr(self, name)
+            try:
+                loopback = IPv4Address(first).is_loopback
+            except AddressValueError:
+                loopback = False
+            require(loopback, f"{name} is {first}; it must be an address from 127.0.0.1 to 127.255.255.254")
+
+    @property
+    def model(self) -> LidarModel:
+        """The LiDAR."""
+        return MODELS[self.lidar_model]
+
+    @property
+    def surroundings(self) -> Arena:
+        """The arena."""
+        return get_arena(self.arena)
+
+    def base_address(self, robot: int) -> str:
+        """Return the address of a robot's base."""
+        return str(IPv4Address(self.address) + robot)
+
+    def driver_address(self, robot: int) -> str:
+        """Return the address to drive a robot from."""
+        return str(IPv4Address(self.local_address) + robot)
+
+    def draw_start(self) -> FloatArray:
+        """Return where the robots start, shape (N, 3) [m, m, rad]."""
+        return np.asarray(starts(self.robots, 1, self.seed, self.index, distance=self.distance)[0])
+
+
+class Emulation:
+    """A world of the hardware profile whose robots are to be reached by their protocols.
+
+    Every sample of a LiDAR is cast at its own moment, while everybody moves, and sent ``latency`` later.
+    """
+
+    def __init__(self, config: EmulateConfig) -> None:
+        """Place the robots and open their ports.
+
+        Raises:
+            TriformError: There is no such arena, or a port cannot be opened.
+        """
+        model = config.model
+        poses = config.draw_start()[None]
+        self._noise = replace(HARDWARE.lidar, scan=model.scan_config(), noise=model.noise)
+        # The world only moves the robots; its own LiDAR has a single ray, and hardly ever turns.
+        blind = LidarConfig(ScanConfig(rays=1), period=1e6)
+        self._world = World(poses, replace(HARDWARE, lidar=blind, time_step=STEP), config.surroundings)
+        self._latency = config.latency
+        self._start = self.poses
+        self._past = deque([self._world.poses] * 2, maxlen=round(config.latency / STEP) + 2)
+        self._rngs = [
+            np.random.default_rng([config.robots, config.seed, config.index, 1, robot])
+            for robot in range(config.robots)
+        ]
+        self._stack = ExitStack()
+        self.lidars: list[LidarEmulator] = []
+        self.bases: list[RoboMasterEmulator] = []
+        with ExitStack() as opened:
+            for robot, rng in enumerate(self._rngs):
+                self.lidars.append(opened.enter_context(closing(LidarEmulator(model, rng))))
+                self.bases.append(opened.enter_context(closing(RoboMasterEmulator(config.base_address(robot)))))
+            self._stack = opened.pop_all()
+
+    @property
+    def time(self) -> float:
+        """Time since the start [s]."""
+        return self._world.time
+
+    @property
+    def poses(self) -> FloatArray:
+        """True poses, shape (N, 3) [m, m, rad]."""
+        return np.asarray(self._world.poses[0])
+
+    def close(self) -> None:
+        """Close all ports."""
+        self._stack.close()
+
+    def step(self) -> None:
+        """Go on by ``STEP``: wheels, telemetry and LiDARs."""
+        self._world.apply(np.array([base.command for base in self.bases])[None], STEP)
+        self._past.append(self._world.poses)
+        # As the real ones, they count from where they were switched on.
+        come = relative_poses(self.poses, self._start, self._world.active[0])
+        for base, pose, twist in zip(self.bases, come, self._world.velocities[0], strict=True):
+            base.tell(pose, twist)
+        if self.time > self._latency:
+            self._sense(self.time - self._latency)
+
+    def _sense(self, until: float) -> None:
+        """Measure and send the samples that were due by ``until`` [s]."""
+        due = [lidar.due(until) for lidar in self.lidars]
+        most = max(map(len, due))
+        if most == 0:
+            return
+        rays = replace(self._noise.scan, rays=most)
+        offsets = np.zeros((1, len(due), most))
+        for robot, angles in enumerate(due):
+            offsets[0, robot, : len(angles)] = angles - rays.angles[: len(angles)]
+        active = self._world.active
+        scene = (HARDWARE.footprint, self._world.arena, rays, offsets)
+        exact = cast_rolling(self._past[0], self._past[1], active, *scene)[0]
+        for lidar, angles, ranges, rng in zip(self.lidars, due, exact, self._rngs, strict=True):
+            lidar.emit(apply_noise(ranges[: len(angles)], self._noise, rng))
+
+
+def drive_command(config: EmulateConfig, emulation: Emulation, robot: int) -> str:
+    """Return the command line that drives a robot."""
+    x, y, heading = emulation.poses[robot]
+    return (
+        f"triform drive --lidar {emulation.lidars[robot].path} --lidar-model {config.lidar_model} "
+        f"--address {config.base_address(robot)} --local-address {config.driver_address(robot)} "
+        f"--distance {config.distance:g} --seed {robot} --robot {robot} --start-pose {x:.4f} {y:.4f} {heading:.4f}"
+    )
+
+
+def run_emulate(config: EmulateConfig, console: Console) -> None:
+    """Emulate robots in real time.
+
+    Args:
+        config: Which robots, and for how long.
+        console: Where to show how to drive them and, at the end, how well the clock was kept.
+
+    Raises:
+        TriformError: There is no such arena, a port cannot be opened, or the recording cannot be begun.
+        SystemExit: A signal ended the run.
+    """
+
+    def warn(sentence: str) -> None:
+        console.print(f"warning: {sentence}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+    with closing(Emulation(config)) as emulation, ExitStack() as stack:
+        # The first steps load compiled kernels, which takes longer than any LiDAR is silent.
+        while emulation.time <= config.latency + STEP:
+            emulation.step()
+        log = None
+        if config.record is not None:
+            log = stack.enter_context(closing(CsvLog(config.record, POSE_COLUMNS, warn)))
+        for robot in range(config.robots):
+            console.print(drive_command(config, emulation, robot), highlight=False, markup=False, soft_wrap=True)
+        duration = config.duration or math.inf
+        longest_behind, steps, began = 0.0, 0, time.monotonic() - emulation.time
+        try:
+            with StopSignals() as signals:
+                while emulation.time < duration - STEP / 2:
+                    signals.check()
+                    if log is not None and steps % _STEPS_PER_RECORD == 0:
+                        for robot, pose in enumerate(emulation.poses):
+                            log.write([emulation.time, robot, *pose])
+                    emulation.step()
+                    steps += 1
+                    ahead = began + emulation.time - time.monotonic()
+                    longest_behind = max(longest_behind, -ahead)
+                    time.sleep(max(0.0, ahead))
+        finally:
+            took = time.monotonic() - began
+            factor = emulation.time / took
+            console.print(
+                f"{emulation.time:.1f} s emulated in {took:.1f} s, at most {1000 * longest_behind:.0f} ms behind: "
+                f"real-time factor {factor:.3f}",
+                soft_wrap=True,
+            )

@@ -1,0 +1,237 @@
+"""One real robot: a LiDAR and a base, driven by the same loop as the built-in world."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from triform.simulation import Drive, limit_twists
+from triform.simulation.odometry import relative_poses
+from triform.simulation.pushes import push_keys, push_size, random_pushes
+from triform.types import FloatArray, RangeArray, Scan, ScanConfig, TriformError, View, require
+
+_ONE = np.ones((1, 1), dtype=np.bool_)
+
+
+class Turn(Protocol):
+    """One finished turn of a LiDAR."""
+
+    @property
+    def ranges(self) -> RangeArray:
+        """Ranges on a fixed grid, shape (R,) [m]; REP 117 for what is no range."""
+        ...
+
+    @property
+    def started(self) -> float:
+        """When the first ray was measured, by the host's monotonic clock [s]."""
+        ...
+
+    @property
+    def ended(self) -> float:
+        """When the last ray was measured, by the same clock [s]."""
+        ...
+
+
+class Lidar(Protocol):
+    """A LiDAR that turns and turns."""
+
+    @property
+    def scan(self) -> ScanConfig:
+        """Shape of its turns."""
+        ...
+
+    def latest(self) -> Turn | None:
+        """Return the newest finished turn; ``None`` before the first one.
+
+        Raises:
+            TriformError: The LiDAR is lost.
+        """
+        ...
+
+
+class Base(Protocol):
+    """Wheels."""
+
+    def drive(self, command: FloatArray) -> None:
+        """Hold a body twist, shape (3,) [m/s, m/s, rad/s], until the next one.
+
+        Raises:
+            TriformError: The base is lost.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stop the wheels.
+
+        Raises:
+            TriformError: The base is lost.
+        """
+        ...
+
+    def odometry(self, at: float) -> FloatArray | None:
+        """Return the pose at a moment of the host's monotonic clock [s], shape (3,); ``None`` if it is not known."""
+        ...
+
+
+@dataclass(frozen=True)
+class Step:
+    """One control period of a real robot, told when its command has been sent.
+
+    Attributes:
+        seen: When the robot looked for its newest scan, by the host's monotonic clock [s].
+        decided: When its command was known [s].
+        sent: When the base had it [s].
+        turn: The newest turn of the LiDAR; ``None`` before the first one.
+        view: What the controller saw.
+        command: The body twist that was sent, shape (3,) [m/s, m/s, rad/s].
+        pose: Odometry now, shape (3,) [m, m, rad]; ``None`` if it is not known.
+        blind: Whether the robot stood still for want of a fresh scan.
+        late: Whether the command came after its control period had ended.
+    """
+
+    seen: float
+    decided: float
+    sent: float
+    turn: Turn | None
+    view: View
+    command: FloatArray
+    pose: FloatArray | None
+    blind: bool
+    late: bool
+
+
+class RealRobot:
+    """A LiDAR and a base: a ``Team[View]`` of one robot, B = N = 1.
+
+    The robot decides at the ticks of a steady clock. What a late command costs is not made up for: the clock starts
+    anew from it.
+
+    A robot without a fresh scan stands still, whatever its controller says: a controller takes an empty scan for an
+    empty room, and one that searches for its team would drive off blind.
+    """
+
+    def __init__(
+        self,
+        lidar: Lidar,
+        base: Base | None,
+        control_period: float,
+        seed: int,
+        limits: Drive,
+        *,
+        odometry: bool = True,
+        scan_timeout: float = 0.5,
+        on_sent: Callable[[Step], None] | None = None,
+        warn: Callable[[str], None] | None = None,
+    ) -> None:
+        """Take charge of a LiDAR and a base.
+
+        Args:
+            lidar: Gives the scans.
+            base: Takes the commands; ``None`` drives nothing and knows no odometry.
+            control_period: Time between two commands [s].
+            seed: Of the random pushes; robots of one team need different ones.
+            limits: Commands are cut to these speeds.
+            odometry: Whether a view says how far the robot has come since its scan.
+            scan_timeout: An older scan is no scan [s].
+            on_sent: Called when a command has been sent, before the robot waits for its next tick.
+            warn: Called with a sentence when scans stop coming.
+
+        Raises:
+            ConfigurationError: A time is not positive.
+        """
+        require(0 < control_period < math.inf, f"control_period is {control_period} s; it must be positive and finite")
+        require(0 < scan_timeout < math.inf, f"scan_timeout is {scan_timeout} s; it must be positive and finite")
+        self._lidar, self._base = lidar, base
+        self._scan = lidar.scan
+        self._period = control_period
+        self._limits = limits
+        self._keys = push_keys([np.random.SeedSequence(seed)], 1)
+        self._push_size = push_size(limits)
+        self._odometry = odometry
+        self._timeout = scan_timeout
+        self._on_sent, self._warn = on_sent, warn
+        self._turn: Turn | None = None
+        self._view: View | None = None
+        self._blind = False
+        self._late_ticks = 0
+        self._started = self._seen = self._due = time.monotonic()
+
+    @property
+    def control_period(self) -> float:
+        """Time between two commands [s]."""
+        return self._period
+
+    @property
+    def started(self) -> float:
+        """When the robot started, by the host's monotonic clock [s]."""
+        return self._started
+
+    @property
+    def late_ticks(self) -> int:
+        """Commands that came after their control period had ended."""
+        return self._late_ticks
+
+    def observe(self) -> View:
+        """Return the newest scan; ``+inf`` before the first one, ``NaN`` if it is too old.
+
+        Raises:
+            TriformError: The LiDAR is lost.
+        """
+        self._turn = turn = self._lidar.latest()
+        self._seen = now = time.monotonic()
+        old = turn is not None and now - turn.ended > self._timeout
+        if old and not self._blind and self._warn is not None:
+            self._warn(f"no new scan for {self._timeout:g} s: the robot stands still until one comes")
+        self._blind = turn is None or old
+        ranges = np.full(self._scan.rays, np.nan if old else np.inf, np.float32)
+        if turn is not None and not old:
+            ranges = turn.ranges
+        self._view = View(
+            scans=Scan(ranges[None, None], self._scan),
+            active=_ONE,
+            time=now - self._started,
+            push=self._push_size * random_pushes(self._keys, 1, now - self._started),
+            moved=None if turn is None or not self._odometry else self._moved(turn, now),
+        )
+        return self._view
+
+    def apply(self, commands: FloatArray, duration: float) -> None:
+        """Send a command and wait for the next tick.
+
+        Args:
+            commands: Body twist, shape (1, 1, 3) [m/s, m/s, rad/s].
+            duration: From this tick to the next [s].
+
+        Raises:
+            TriformError: The base is lost, or the command is no three finite numbers.
+        """
+        if commands.shape != (1, 1, 3) or not np.isfinite(commands).all():
+            raise TriformError(f"the command {commands} cannot be driven; three finite numbers are needed")
+        decided = time.monotonic()
+        command = np.zeros(3) if self._blind else limit_twists(commands, self._limits)[0, 0]
+        if self._base is not None:
+            self._base.drive(command)
+        sent = time.monotonic()
+        self._due += duration
+        late = sent > self._due
+        if late:
+            self._late_ticks += 1
+            self._due = sent
+        if self._on_sent is not None and self._view is not None:
+            pose = None if self._base is None else self._base.odometry(sent)
+            self._on_sent(Step(self._seen, decided, sent, self._turn, self._view, command, pose, self._blind, late))
+        time.sleep(max(0.0, self._due - time.monotonic()))
+
+    def _moved(self, turn: Turn, now: float) -> FloatArray | None:
+        """Pose now in the frame of the robot in the middle of a turn, shape (1, 1, 3); ``None`` if it is not known."""
+        if self._base is None:
+            return None
+        then, here = self._base.odometry((turn.started + turn.ended) / 2), self._base.odometry(now)
+        if then is None or here is None:
+            return None
+        return relative_poses(here[None, None], then[None, None], _ONE)

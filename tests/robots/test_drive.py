@@ -1,0 +1,295 @@
+"""``triform drive``: from LiDAR to wheels, with the hardware replaced by what its drivers promise."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import resource
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from triform.robots import drive as drive_module
+from triform.robots.drive import DriveConfig, run_drive
+from triform.robots.drive_status import Budget
+from triform.robots.real import Step
+from triform.robots.recorder import CsvLog
+from triform.simulation import ROBOMASTER_EP, Arena, cast_scans
+from triform.types import ConfigurationError, Scan, ScanConfig, TriformError, View
+
+
+@dataclass
+class Turn:
+    ranges: np.ndarray
+    started: float
+    ended: float
+
+
+class FakeLidar:
+    """Sees one robot 0.6 m ahead, in turns of 1/6 s that follow each other without a gap."""
+
+    lost_after: float | None = None
+    silent_after: float | None = None
+
+    def __init__(self, path: str, model: object, scan: ScanConfig, mounting: float) -> None:
+        self.scan, self.began = scan, time.monotonic()
+        poses = np.array([[[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]]])
+        exact = cast_scans(poses, np.ones((1, 2), bool), ROBOMASTER_EP, Arena.open(), scan, dtype=np.float32)
+        self.ranges = exact[0, 0]
+
+    def __enter__(self) -> FakeLidar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def latest(self) -> Turn | None:
+        passed = time.monotonic() - self.began
+        if self.lost_after is not None and passed > self.lost_after:
+            raise TriformError("the LiDAR is lost")
+        turn = int(min(passed, self.silent_after or np.inf) * 6)
+        return Turn(self.ranges, self.began + (turn - 1) / 6, self.began + turn / 6)
+
+    def wait(self, after: float, timeout: float) -> Turn:
+        turn = self.latest()
+        assert turn is not None
+        return turn
+
+
+class FakeBase:
+    """Takes commands; from the fifth on it may be lost, or a signal comes with it."""
+
+    lost = False
+    signal: int | None = None
+
+    def __init__(self, *_: object, **__: object) -> None:
+        self.commands: list[np.ndarray] = []
+        self.stops = 0
+        made.append(self)
+
+    def __enter__(self) -> FakeBase:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def drive(self, command: np.ndarray) -> None:
+        if self.lost and len(self.commands) == 4:
+            raise TriformError("the base is lost")
+        self.commands.append(command)
+        if self.signal is not None and len(self.commands) == 5:
+            os.kill(os.getpid(), self.signal)
+
+    def stop(self) -> None:
+        self.stops += 1
+        if self.lost:
+            raise TriformError("the base cannot be stopped")
+
+    def odometry(self, at: float) -> np.ndarray | None:
+        return np.array([1.0, 2.0, 0.5])
+
+
+made: list[FakeBase] = []
+
+
+@pytest.fixture(autouse=True)
+def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
+    made.clear()
+    monkeypatch.setattr(drive_module, "LidarPort", FakeLidar)
+    monkeypatch.setattr(drive_module, "RoboMaster", FakeBase)
+
+
+def run(config: DriveConfig, shown: io.StringIO | None = None) -> str:
+    """Drive and return what was printed, which is also in ``shown``."""
+    shown = shown or io.StringIO()
+    run_drive(config, Console(file=shown, width=200))
+    return shown.getvalue()
+
+
+def test_drives_away_from_a_robot_that_is_too_near_and_stops_at_the_end() -> None:
+    said = run(DriveConfig(controller="scan-pipeline", duration=1.5, rate=20.0))
+    (base,) = made
+    assert len(base.commands) == 30
+    assert base.stops == 1
+    commands = np.array(base.commands)
+    assert (np.abs(commands[:, :2]) <= 0.1).all()
+    # The guard has the robot wait until it can be sure of a scan; a robot nearer than d* is then fled.
+    assert commands[-1, 0] == pytest.approx(-0.1)
+    assert "neighbours 1" in said
+    assert "30 commands" in said
+    assert "scans used" in said
+
+
+def test_a_dry_run_needs_no_base_and_sends_nothing() -> None:
+    said = run(DriveConfig(controller="scan-pipeline", duration=1.5, rate=20.0, dry_run=True))
+    assert made == []
+    assert "would send -0.10" in said
+
+
+def test_the_budget_tells_map_from_policy() -> None:
+    said = run(DriveConfig(duration=1.0, rate=20.0, seed=1))
+    lines = {line.split()[0]: line.split()[1:4] for line in said.splitlines() if line.strip()}
+    for part in ("sense", "map", "policy", "send", "total"):
+        median, p95, most = map(float, lines[part])
+        assert 0 <= median <= p95 <= most
+
+
+def test_the_recording_says_what_was_seen_and_done(tmp_path: Path) -> None:
+    folder = tmp_path / "recording"
+    config = DriveConfig(
+        controller="scan-pipeline", duration=1.0, rate=10.0, record=folder, robot=3, start_pose=(5.0, -1.0, 1.0), seed=8
+    )
+    run(config)
+    with (folder / "steps.csv").open() as file:
+        steps = list(csv.DictReader(file))
+    assert len(steps) == 10
+    time_of = [float(step["time"]) for step in steps]
+    assert time_of == sorted(time_of)
+    assert time_of[0] >= 0
+    for step, command in zip(steps, made[0].commands, strict=True):
+        assert step["robot"] == "3"
+        # The wheels say that the robot has not moved, so it is where it started.
+        np.testing.assert_allclose([float(step[name]) for name in ("x", "y", "heading")], [5.0, -1.0, 1.0], atol=1e-6)
+        np.testing.assert_allclose([float(step[name]) for name in ("u_x", "u_y", "omega")], command, atol=1e-6)
+        assert 0 <= float(step["scan_age"]) <= float(step["latency"])
+    with (folder / "scans.csv").open() as file:
+        scans = list(csv.DictReader(file))
+    assert len(scans) >= 2
+    assert float(scans[0]["range_333"]) == pytest.approx(0.44, abs=0.01)
+    facts = json.loads((folder / "drive.json").read_text())
+    assert facts["ended"] == "its time is over"
+    assert facts["settings"]["seed"] == 8
+    assert facts["latency"]["steps"] == 10
+    assert facts["versions"]["numpy"] == np.__version__
+    with pytest.raises(TriformError, match="already holds a recording"):
+        run(config)
+
+
+def test_a_full_disk_ends_a_file_with_a_warning_and_whole_lines(tmp_path: Path) -> None:
+    warnings: list[str] = []
+    path = tmp_path / "log.csv"
+    log = CsvLog(path, ("a", "b"), warnings.append)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50, limits[1]))
+    try:
+        for _ in range(5):
+            log.write([1, 0.5])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    log.write([2, 0.5])
+    log.close()
+    assert path.read_text() == "a,b\n" + 4 * "1,0.500000\n"
+    assert len(warnings) == 1
+    assert "the robot drives on" in warnings[0]
+
+
+def test_a_recording_that_cannot_go_on_does_not_stop_the_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise TriformError("no space left")
+
+    monkeypatch.setattr("triform.robots.recorder.write_atomically", full)
+    said = run(DriveConfig(controller="scan-pipeline", duration=0.5, rate=10.0, record=tmp_path / "r"))
+    assert len(made[0].commands) == 5
+    assert "warning: no space left" in said
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_signal_stops_the_wheels_and_shows_the_budget(
+    number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, shown = signal.getsignal(number), io.StringIO()
+    monkeypatch.setattr(FakeBase, "signal", number)
+    with pytest.raises(SystemExit) as ended:
+        run(DriveConfig(controller="scan-pipeline", rate=20.0, record=tmp_path / "r"), shown)
+    assert ended.value.code == status
+    (base,) = made
+    assert (len(base.commands), base.stops) == (5, 1)
+    assert "5 commands" in shown.getvalue()
+    assert json.loads((tmp_path / "r/drive.json").read_text())["ended"] == str(status)
+    assert signal.getsignal(number) is before
+
+
+def test_a_lost_lidar_stops_the_wheels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakeLidar, "lost_after", 1.0)
+    with pytest.raises(TriformError, match="the LiDAR is lost"):
+        run(DriveConfig(controller="scan-pipeline", rate=20.0))
+    assert made[0].stops == 1
+
+
+def test_a_lost_base_says_so_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakeBase, "lost", True)
+    with pytest.raises(TriformError, match="the base is lost"):
+        run(DriveConfig(controller="scan-pipeline", rate=20.0))
+    assert made[0].stops == 1
+
+
+def test_a_lidar_that_falls_silent_leaves_the_robot_standing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FakeLidar, "silent_after", 0.5)
+    said = run(DriveConfig(controller="scan-pipeline", rate=20.0, duration=2.0))
+    np.testing.assert_array_equal(made[0].commands[-5:], np.zeros((5, 3)))
+    assert said.count("the robot stands still until one comes") == 1
+    assert "no fresh scan" in said
+
+
+@pytest.mark.parametrize("name", ["expert", "triangulating", "gnn"])
+def test_controllers_that_see_poses_are_refused(name: str) -> None:
+    with pytest.raises(TriformError, match="no real robot knows"):
+        run(DriveConfig(controller=name))
+    assert made == []
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"distance": 0.0},
+        {"distance": 4.5},
+        {"rate": np.nan},
+        {"rate": 2.0},
+        {"watchdog": np.inf},
+        {"max_speed": 0.0},
+        {"max_turn_rate": np.inf},
+        {"duration": 0.1},
+        {"usb": True, "address": "10.0.0.1"},
+        {"robot": -1},
+        {"seed": -1},
+        {"start_pose": (0.0, np.nan, 0.0)},
+        {"mounting": np.inf},
+        {"footprint": (0.3, -0.2)},
+    ],
+)
+def test_bad_settings_are_refused(setting: dict[str, object]) -> None:
+    with pytest.raises(ConfigurationError):
+        DriveConfig(**setting)  # type: ignore[arg-type]
+
+
+def test_where_the_base_is() -> None:
+    assert DriveConfig().base_address == "192.168.2.1"
+    assert DriveConfig(usb=True).base_address == "192.168.42.2"
+    assert DriveConfig(address="10.0.0.1").base_address == "10.0.0.1"
+
+
+def test_a_guard_that_is_not_wanted_is_left_out() -> None:
+    said = [DriveConfig(guard=guard).make_controller(lambda: None).description for guard in (True, False)]
+    assert ["guard" in each for each in said] == [True, False]
+
+
+def test_scans_that_no_command_used_are_missed() -> None:
+    """Turns of 0.1 s, of which every third is seen twice."""
+    config = ScanConfig(rays=8)
+    view = View(Scan(np.ones((1, 1, 8)), config), np.ones((1, 1), bool), 0.0)
+    budget = Budget()
+    for k in range(6):
+        turn = Turn(np.ones(8), 0.3 * (k // 2), 0.3 * (k // 2) + 0.1)
+        budget.add(Step(1.0 + k, 1.01 + k, 1.02 + k, turn, view, np.zeros(3), None, blind=False, late=k == 4))
+    found = budget.summary()
+    assert (found["scans_used"], found["scans_missed"]) == (3, 4)
+    assert (found["steps"], found["late_ticks"], found["blind_steps"]) == (6, 1, 0)
+    assert found["seconds"]["send"]["max"] == pytest.approx(0.01)
+    assert "map" not in found["seconds"]

@@ -1,0 +1,197 @@
+"""One real robot as a team: what it sees, what it sends, and the ticks of its clock."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from triform.control import drive
+from triform.robots.real import RealRobot, Step
+from triform.simulation import Drive, integrate
+from triform.types import ConfigurationError, ScanConfig, TriformError, View
+
+SCAN = ScanConfig(rays=90)
+LIMITS = Drive(max_axis_speed=0.1, max_turn_rate=1.0)
+
+
+@dataclass
+class Turn:
+    ranges: np.ndarray
+    started: float
+    ended: float
+
+
+class FakeLidar:
+    scan = SCAN
+
+    def __init__(self, turn: Turn | None = None) -> None:
+        self.turn = turn
+        self.lost = False
+
+    def latest(self) -> Turn | None:
+        if self.lost:
+            raise TriformError("the LiDAR is lost")
+        return self.turn
+
+
+class FakeBase:
+    """Wheels that follow a constant body twist from the pose 0 at the time ``began``."""
+
+    def __init__(self, twist: tuple[float, float, float] = (0.0, 0.0, 0.0), knows: bool = True) -> None:
+        self.twist, self.knows, self.began = np.array(twist), knows, time.monotonic()
+        self.commands: list[np.ndarray] = []
+
+    def drive(self, command: np.ndarray) -> None:
+        self.commands.append(command.copy())
+
+    def stop(self) -> None:
+        self.commands.append(np.zeros(3))
+
+    def odometry(self, at: float) -> np.ndarray | None:
+        return integrate(np.zeros(3), self.twist, at - self.began) if self.knows else None
+
+
+class Forward:
+    """A controller that always drives on."""
+
+    privileged = False
+    description: ClassVar[dict[str, Any]] = {"name": "forward"}
+
+    def command(self, view: View) -> np.ndarray:
+        return np.full((1, 1, 3), 0.05)
+
+
+def fresh_turn(age: float = 0.05, value: float = 1.0) -> Turn:
+    now = time.monotonic()
+    return Turn(np.full(SCAN.rays, value, np.float32), now - age - 0.1, now - age)
+
+
+def make_robot(lidar: FakeLidar, base: FakeBase | None, period: float = 0.01, **options: object) -> RealRobot:
+    return RealRobot(lidar, base, period, 3, LIMITS, **options)
+
+
+def test_nothing_is_seen_and_nothing_driven_before_the_first_turn() -> None:
+    lidar, base = FakeLidar(), FakeBase()
+    robot = make_robot(lidar, base)
+    view = robot.observe()
+    assert view.scans.ranges.shape == (1, 1, 90)
+    assert np.isposinf(view.scans.ranges).all()
+    assert view.active.tolist() == [[True]]
+    assert view.moved is None
+    robot.apply(np.full((1, 1, 3), 0.05), 0.01)
+    np.testing.assert_array_equal(base.commands, [np.zeros(3)])
+
+
+def test_an_old_scan_is_no_scan_and_stops_the_robot_once_announced() -> None:
+    said: list[str] = []
+    lidar, base = FakeLidar(fresh_turn(age=0.6)), FakeBase()
+    robot = make_robot(lidar, base, warn=said.append)
+    for _ in range(3):
+        assert np.isnan(robot.observe().scans.ranges).all()
+        robot.apply(np.full((1, 1, 3), 0.05), 0.01)
+    np.testing.assert_array_equal(base.commands, np.zeros((3, 3)))
+    assert said == ["no new scan for 0.5 s: the robot stands still until one comes"]
+    lidar.turn = fresh_turn()
+    np.testing.assert_array_equal(robot.observe().scans.ranges[0, 0], lidar.turn.ranges)
+    robot.apply(np.full((1, 1, 3), 0.05), 0.01)
+    np.testing.assert_array_equal(base.commands[-1], np.full(3, 0.05))
+    lidar.turn = fresh_turn(age=1.0)
+    robot.observe()
+    assert len(said) == 2
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.tuples(*[st.floats(-0.5, 0.5)] * 3), st.floats(0.0, 0.4), st.floats(0.05, 0.3))
+def test_moved_is_where_the_robot_is_seen_from_the_middle_of_the_turn(
+    twist: tuple[float, float, float], age: float, length: float
+) -> None:
+    """A constant body twist: the pose after a time is the same from wherever the time is counted."""
+    base = FakeBase(twist)
+    now = time.monotonic()
+    turn = Turn(np.ones(SCAN.rays, np.float32), now - age - length, now - age)
+    robot = make_robot(FakeLidar(turn), base)
+    before = time.monotonic()
+    moved = robot.observe().moved
+    after = time.monotonic()
+    middle = now - age - length / 2
+    earliest, latest = (integrate(np.zeros(3), base.twist, at - middle) for at in (before, after))
+    slack = 1e-9 + np.abs(base.twist).max() * (after - before) * 2
+    assert moved is not None
+    assert np.abs(moved[0, 0] - earliest).max() <= slack + np.abs(latest - earliest).max()
+
+
+def test_no_odometry_where_the_base_does_not_know_or_nobody_wants_it() -> None:
+    lidar = FakeLidar(fresh_turn())
+    assert make_robot(lidar, FakeBase(knows=False)).observe().moved is None
+    assert make_robot(lidar, FakeBase(), odometry=False).observe().moved is None
+    assert make_robot(lidar, None).observe().moved is None
+    assert make_robot(lidar, FakeBase()).observe().moved is not None
+
+
+def test_pushes_are_those_of_its_own_seed_and_small_for_a_slow_base() -> None:
+    slow = RealRobot(FakeLidar(), None, 0.1, 5, LIMITS).observe().push
+    fast = RealRobot(FakeLidar(), None, 0.1, 5, Drive()).observe().push
+    other = RealRobot(FakeLidar(), None, 0.1, 6, LIMITS).observe().push
+    np.testing.assert_allclose(slow, 0.2 * fast)
+    assert (slow != other).all()
+
+
+def test_commands_are_cut_to_the_limits_and_refused_if_not_finite() -> None:
+    base = FakeBase()
+    robot = make_robot(FakeLidar(fresh_turn()), base)
+    robot.observe()
+    robot.apply(np.array([[[0.3, -0.05, -7.0]]]), 0.01)
+    np.testing.assert_allclose(base.commands, [[0.1, -0.05, -1.0]])
+    for bad in (np.full((1, 1, 3), np.nan), np.zeros((1, 2, 3))):
+        with pytest.raises(TriformError, match="cannot be driven"):
+            robot.apply(bad, 0.01)
+
+
+def test_the_clock_is_steady_and_late_ticks_are_not_made_up_for() -> None:
+    sent: list[float] = []
+    robot = make_robot(FakeLidar(fresh_turn()), FakeBase(), 0.02, on_sent=lambda step: sent.append(step.sent))
+    began = time.monotonic()
+    for k in range(12):
+        robot.observe()
+        if k == 5:
+            time.sleep(0.15)
+        robot.apply(np.zeros((1, 1, 3)), 0.02)
+    assert robot.late_ticks >= 1
+    assert time.monotonic() - began >= 11 * 0.02 + 0.15 - 1e-3
+    # The clock starts anew from the late one, and no burst follows.
+    assert sent[11] - sent[5] >= 5 * 0.02 - 1e-9
+
+
+def test_every_step_is_told_with_its_times() -> None:
+    steps: list[Step] = []
+    lidar, base = FakeLidar(fresh_turn(0.0)), FakeBase()
+    robot = make_robot(lidar, base, on_sent=steps.append, scan_timeout=60.0)
+    drive(robot, Forward(), 0.05)
+    assert len(steps) == len(base.commands) == 5
+    for step, command in zip(steps, base.commands, strict=True):
+        assert step.seen <= step.decided <= step.sent
+        assert step.turn is lidar.turn
+        assert step.pose is not None
+        assert not step.blind
+        np.testing.assert_array_equal(step.command, np.full(3, 0.05))
+        np.testing.assert_array_equal(step.command, command)
+    assert [step.seen for step in steps] == sorted(step.seen for step in steps)
+
+
+def test_a_lost_lidar_ends_the_run() -> None:
+    lidar = FakeLidar(fresh_turn())
+    lidar.lost = True
+    with pytest.raises(TriformError, match="LiDAR is lost"):
+        drive(make_robot(lidar, FakeBase()), Forward(), 0.05)
+
+
+@pytest.mark.parametrize("options", [{"scan_timeout": 0.0}, {"period": 0.0}])
+def test_bad_settings_are_refused(options: dict[str, float]) -> None:
+    with pytest.raises(ConfigurationError):
+        make_robot(FakeLidar(), None, **options)
