@@ -1,0 +1,1 @@
+"""The controllers of triform on ROS 2: scans in, commands out."""

@@ -1,0 +1,218 @@
+"""A robot whose LiDAR and wheels are topics: the ``Lidar`` and the ``Base`` of ``triform.robots.real.RealRobot``."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import LaserScan as LaserScanMessage
+
+from triform.perception import map_room, occupied_into
+from triform.robots.limits import limit_acceleration
+from triform.robots.odometry import PoseHistory
+from triform.robots.real import Step
+from triform.simulation import Drive
+from triform.types import FloatArray, MapArray, MapConfig, RangeArray, ScanConfig, TriformError, View
+from triform_ros.conversions import fill_twist, laser_scan, map_message, pose_of, seconds
+
+#: A repeated message is shown this often at most [s].
+_THROTTLE = 5.0
+#: How long the last command may take to be acknowledged [s].
+_LAST_COMMAND = 1.0
+
+
+def host_time(node: Node, stamp: Time) -> float:
+    """Return a stamp by the host's monotonic clock [s].
+
+    A stamp that was left zero, or lies in the future of the node's clock, counts as now: no scan may stay fresh for
+    longer because the clock of another computer is ahead.
+    """
+    age = 1e-9 * node.get_clock().now().nanoseconds - seconds(stamp)
+    return time.monotonic() - (max(age, 0.0) if stamp.sec or stamp.nanosec else 0.0)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One scan on the grid.
+
+    Attributes:
+        ranges: Ranges, shape (R,) [m].
+        started: When the first ray was measured, by the host's monotonic clock [s].
+        ended: When the last ray was measured [s].
+    """
+
+    ranges: RangeArray
+    started: float
+    ended: float
+
+
+class ScanTopic:
+    """The LiDAR behind the topic ``scan``.
+
+    A scan that cannot be used takes the place of the one before: the robot then has none, and stands.
+    """
+
+    def __init__(self, node: Node, scan: ScanConfig, mounting: float, frame: str) -> None:
+        """Subscribe.
+
+        Args:
+            node: Where the topic is.
+            scan: Shape of the scans that are wanted, in the robot's frame.
+            mounting: Angle of the LiDAR's x axis in the robot's frame [rad].
+            frame: Frame that scans must be in; any if empty.
+        """
+        self._node, self._scan, self._frame = node, scan, frame
+        self._grid = replace(scan, angle_min=scan.angle_min - mounting)
+        self._turn: Turn | None = None
+        self._told_coverage = False
+        self.received = self.refused = self.lost = 0
+        node.create_subscription(
+            LaserScanMessage,
+            "scan",
+            self._take,
+            qos_profile_sensor_data,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),
+        )
+
+    @property
+    def scan(self) -> ScanConfig:
+        """Shape of its turns."""
+        return self._scan
+
+    def latest(self) -> Turn | None:
+        """Return the newest scan; ``None`` before the first one, and if it cannot be used."""
+        return self._turn
+
+    def _take(self, message: LaserScanMessage) -> None:
+        self.received += 1
+        try:
+            self._turn = self._read(message)
+        except TriformError as error:
+            self._turn = None
+            self.refused += 1
+            self._node.get_logger().warning(
+                f"a scan cannot be used, the robot stands still: {error}", throttle_duration_sec=_THROTTLE
+            )
+
+    def _read(self, message: LaserScanMessage) -> Turn:
+        frame = message.header.frame_id
+        if self._frame and frame != self._frame:
+            raise TriformError(f"it is in the frame {frame!r}, not in {self._frame!r}")
+        scan = laser_scan(message)
+        turn = message.time_increment * (len(message.ranges) - 1)
+        if not (math.isfinite(turn) and turn >= 0):
+            raise TriformError(f"time_increment is {message.time_increment} s; it must be finite and not negative")
+        ranges = scan.on_grid(self._grid)
+        if scan.coverage < 0.99 and not self._told_coverage:
+            self._told_coverage = True
+            self._node.get_logger().info(f"scans cover {360 * scan.coverage:.0f} of 360 degrees; the rest is not seen")
+        started = host_time(self._node, message.header.stamp)
+        return Turn(ranges, started, min(started + turn, time.monotonic()))
+
+    def _count_lost(self, lost: QoSMessageLostInfo) -> None:
+        self.lost += lost.total_count_change
+
+
+class TwistTopic:
+    """The wheels behind the topic ``cmd_vel``, and their odometry on the topic ``odom``."""
+
+    def __init__(self, node: Node, frame: str, stamped: bool, odometry: bool, limits: Drive, period: float) -> None:
+        """Advertise, and subscribe if odometry is wanted.
+
+        Args:
+            node: Where the topics are.
+            frame: The robot's frame, for stamped commands.
+            stamped: Whether commands are ``TwistStamped`` and not ``Twist``.
+            odometry: Whether to listen to ``odom``.
+            limits: Commands change no faster than these accelerations allow.
+            period: Time between two commands [s].
+        """
+        self._node, self._frame, self._stamped = node, frame, stamped
+        self._limits, self._period = limits, period
+        self._command: FloatArray = np.zeros(3)
+        self._history = PoseHistory()
+        self._publisher = node.create_publisher(TwistStamped if stamped else Twist, "cmd_vel", 1)
+        if odometry:
+            node.create_subscription(Odometry, "odom", self._note, qos_profile_sensor_data)
+
+    def drive(self, command: FloatArray) -> None:
+        """Publish a body twist, shape (3,), as far as the accelerations allow.
+
+        Raises:
+            TriformError: ROS has been shut down.
+        """
+        if not self._node.context.ok():
+            raise TriformError("ROS has been shut down; no command can be sent")
+        self._command = limit_acceleration(command, self._command, self._limits, self._period)
+        self._publish()
+
+    def stop(self) -> None:
+        """Publish zero, and wait until those who listen have it."""
+        if self._node.context.ok():
+            self._command = np.zeros(3)
+            self._publish()
+            self._publisher.wait_for_all_acked(Duration(seconds=_LAST_COMMAND))
+
+    def odometry(self, at: float) -> FloatArray | None:
+        """Return the pose at a moment of the host's monotonic clock [s], shape (3,); ``None`` if it is not known."""
+        return self._history.at(at)
+
+    def _publish(self) -> None:
+        if self._stamped:
+            message = TwistStamped()
+            message.header.stamp = self._node.get_clock().now().to_msg()
+            message.header.frame_id = self._frame
+            fill_twist(message.twist, self._command)
+        else:
+            message = Twist()
+            fill_twist(message, self._command)
+        self._publisher.publish(message)
+
+    def _note(self, message: Odometry) -> None:
+        pose = pose_of(message)
+        if np.isfinite(pose).all():
+            self._history.add(host_time(self._node, message.header.stamp), pose)
+
+
+class MapTopic:
+    """The occupancy map that the policy sees, on the topic ``map``, in the robot's frame."""
+
+    def __init__(self, node: Node, frame: str, reach: float, config: MapConfig) -> None:
+        """Advertise.
+
+        Args:
+            node: Where the topic is.
+            frame: The robot's frame.
+            reach: Farther returns are not drawn [m].
+            config: The map.
+        """
+        self._node, self._frame, self._reach, self._config = node, frame, reach, config
+        self._room = map_room(config.size)
+        self._publisher = node.create_publisher(OccupancyGrid, "map", 1)
+
+    def publish(self, step: Step) -> None:
+        """Publish the map of a control period, if anybody listens."""
+        if self._publisher.get_subscription_count() == 0:
+            return
+        message = map_message(self._occupied(step.view), self._config)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.frame_id = self._frame
+        self._publisher.publish(message)
+
+    def _occupied(self, view: View) -> MapArray:
+        config, angles = self._config, view.scans.config.angles
+        moved = np.zeros(3) if view.moved is None else view.moved[0, 0]
+        rays = (view.scans.ranges[0, 0], moved, np.cos(angles), np.sin(angles), self._reach)
+        count = occupied_into(*rays, config.cell, config.min_cells, config.max_cells, *self._room)
+        occupied = np.zeros(config.size**2, dtype=np.uint8)
+        occupied[self._room[2][:count]] = 1
+        return occupied.reshape(config.size, config.size)
