@@ -1,35 +1,59 @@
-# make demo   the main job on the shipped weights
-# make test   every check that CI runs
-# make bench  speed, beside peers and the machine's limits, into benchmarks/results
-# All set up their own virtual environment in .venv; the second time that takes no time.
+# make demo    the main job on the shipped weights
+# make test    every check that CI runs; those that need Gazebo are skipped where there is none
+# make gazebo  a Gazebo 11 of our own, or the plugin for one that is installed
+# make fuzz    ten million bytes and more through the LiDAR's parser
+# make bench   speed, beside peers and the machine's limits, into benchmarks/results
+# All set up their own virtual environments; the second time that takes no time.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 
-.PHONY: demo test bench clean
+# The wheels of ROS 2 start every Python of their environment twice, so they have one of their own above the other.
+ROS := .venv-ros
+
+.PHONY: demo test gazebo fuzz bench clean
 
 demo: .venv/installed-evaluate
 	$(BIN)/triform demo
 
-test: .venv/installed-dev
-	$(BIN)/ruff check src tests benchmarks
-	$(BIN)/ruff format --check src tests benchmarks
+test: .venv/installed-dev $(ROS)/installed
+	$(BIN)/ruff check src tests benchmarks ros2
+	$(BIN)/ruff format --check src tests benchmarks ros2
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --ignore tests/ros2
+	$(ROS)/bin/python -m pytest tests/ros2
+
+gazebo: .venv/installed-evaluate
+	$(BIN)/python -m triform.robots.gazebo.install
+
+fuzz: .venv/installed-dev
+	mkdir -p build/fuzz
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m tests.fuzz.fuzz_lidar build/fuzz \
+		-artifact_prefix=build/ -max_len=2048 -len_control=0 -max_total_time=240
 
 bench: .venv/installed-bench
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv demo build src/triform.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv $(ROS) demo build src/triform.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "triform needs Python 3.11 or newer; name it with: make PYTHON=/path/to/python" >&2; exit 1; }
 	$(PYTHON) -m venv .venv || { rm -rf .venv; exit 1; }
+
+$(ROS)/installed: pyproject.toml constraints.txt .venv/installed-dev
+	@echo "installing triform[ros] into $(ROS)"
+	@rm -rf $(ROS) && $(PYTHON) -m venv $(ROS)
+	@echo "import site; site.addsitedir('$(CURDIR)/.venv/lib/python$$($(ROS)/bin/python -c 'import sys; print(*sys.version_info[:2], sep=".")')/site-packages')" \
+		> "$$($(ROS)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/zz_triform.pth"
+	@$(ROS)/bin/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt \
+		$$($(ROS)/bin/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["ros"])') \
+		|| echo "there are no wheels of ROS 2 for this machine; the tests that need them are skipped"
+	@touch $@
 
 .venv/installed-%: pyproject.toml constraints.txt | .venv/bin/python
 	@echo "installing triform[$*] into .venv"

@@ -1,9 +1,10 @@
 """A simulated team with one controller per robot: ``ros2 launch triform_ros team.launch.py simulator:=world``."""
 
-from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+from launch import LaunchContext, LaunchDescription
 
 
 def _team(context: LaunchContext) -> list[Node]:

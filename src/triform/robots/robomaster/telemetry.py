@@ -5,52 +5,15 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections import deque
 
 import numpy as np
 
+from triform.robots.odometry import Track, wrapped
 from triform.robots.robomaster.protocol import RoboMasterError, read_pushed
 from triform.types import FloatArray
 
-#: How far past the newest push a pose is told [s].
-EXTRAPOLATION = 0.2
-
-#: Pushes that are remembered: five seconds at 20 Hz.
-_REMEMBERED = 100
-#: Speeds are taken over at least this time [s]: pushes that were held up come in bunches.
-_RATE_TIME = 0.1
 #: How often the reader looks whether it should end [s].
 _LOOK = 0.05
-
-
-class Track:
-    """Numbers that change with time, known at some moments."""
-
-    def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=_REMEMBERED)
-        self._values: deque[FloatArray] = deque(maxlen=_REMEMBERED)
-
-    @property
-    def newest(self) -> FloatArray | None:
-        """The newest numbers."""
-        return self._values[-1] if self._values else None
-
-    def add(self, moment: float, values: FloatArray) -> None:
-        """Remember numbers of a moment [s], later than all before."""
-        self._times.append(moment)
-        self._values.append(values)
-
-    def at(self, moment: float) -> FloatArray | None:
-        """Numbers at a moment [s]: between known ones, or ahead of the newest one at the last speed."""
-        if not self._times or not self._times[0] <= moment <= self._times[-1] + EXTRAPOLATION:
-            return None
-        times, values = np.array(self._times), np.array(self._values)
-        earlier = np.flatnonzero(times <= times[-1] - _RATE_TIME)
-        if moment > times[-1] and earlier.size:
-            first = earlier[-1]
-            rate = (values[-1] - values[first]) / (times[-1] - times[first])
-            return np.asarray(values[-1] + rate * (moment - times[-1]))
-        return np.array([np.interp(moment, times, column) for column in values.T])
 
 
 class Telemetry:
@@ -90,7 +53,7 @@ class Telemetry:
             position, heading = self._tracks["position"].at(moment), self._tracks["attitude"].at(moment)
         if position is None or heading is None:
             return None
-        return np.append(position, (heading + np.pi) % (2 * np.pi) - np.pi)
+        return np.append(position, wrapped(heading[0]))
 
     def close(self) -> None:
         """Listen no more."""
@@ -115,7 +78,7 @@ class Telemetry:
 
     def _add(self, name: str, now: float, values: FloatArray) -> None:
         track = self._tracks[name]
-        if name == "attitude" and track.newest is not None:
-            # Headings go on past half a turn, so that one can tell what lies between two.
-            values = track.newest + (values - track.newest + np.pi) % (2 * np.pi) - np.pi
-        track.add(now, values)
+        if name == "attitude":
+            track.add_angle(now, values)
+        else:
+            track.add(now, values)
