@@ -64,8 +64,8 @@ def with_thick_walls(arena: Arena) -> Arena:
     return replace(arena, walls=np.vstack(sides))
 
 
-def check_scans(state: State, footprint: Footprint, arena: Arena, config: ScanConfig) -> None:
-    """Compare with the built-in LiDAR; a ray that grazes an edge may hit it in one and miss it in the other."""
+def check_scans(state: State, footprint: Footprint, arena: Arena, config: ScanConfig, share: float = 1.0) -> None:
+    """Compare with the built-in LiDAR; ``share`` of all ranges must be equal."""
     poses = np.where(state.active[:, None], state.poses, 0.0)
     expected = cast_scans(poses[None], state.active[None], footprint, with_thick_walls(arena), config)[0]
     assert state.ranges is not None
@@ -73,7 +73,7 @@ def check_scans(state: State, footprint: Footprint, arena: Arena, config: ScanCo
     assert state.ranges.dtype == np.float32
     with np.errstate(invalid="ignore"):
         equal = (state.ranges == expected) | (np.abs(state.ranges - expected) < 1e-5)
-    assert equal.mean() > 0.998
+    assert equal.mean() >= share
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,8 @@ def test_scans_are_those_of_the_built_in_lidar(gazebo: Installation, footprint: 
             check_scans(server.reset(scattered(rng, 8), scan=True), footprint, PILLARS, config)
         pushed = server.step(rng.uniform(-0.4, 0.4, (8, 3)), 50)
         if not (pushed.touched or pushed.touched_arena):
-            check_scans(pushed, footprint, PILLARS, config)
+            # Who accelerates rocks a little.
+            check_scans(pushed, footprint, PILLARS, config, share=0.98)
 
 
 def test_what_is_nearer_than_range_min_is_too_near(gazebo: Installation) -> None:
@@ -210,7 +211,7 @@ def test_robots_come_and_go(server: GazeboServer) -> None:
     state = server.step(commands, 100)
     assert state.active[new]
     assert np.hypot(*(state.poses[new, :2] - [0.0, 1.0])) == pytest.approx(0.19, abs=0.02)
-    check_scans(state, IDEAL.footprint, PILLARS, IDEAL.lidar.scan)
+    check_scans(state, IDEAL.footprint, PILLARS, IDEAL.lidar.scan, share=0.98)
     server.remove(0)
     # Its place is free: another robot drives through it.
     assert server.add([0.0, 0.0, 0.0]) == 0

@@ -168,16 +168,11 @@ class Scenario:
         from triform.robots.gazebo import GazeboServer, GazeboTeam
 
         self.check_starts(poses)
-        first = 0
-        while first < len(poses):
-            settings: dict[str, Any] = {"drive": self.drive, "time_step": GAZEBO_STEPS[self.drive], "spare": spare}
-            with GazeboServer(self.robot, self.surroundings, poses.shape[1], **settings) as server:
-                # On wheels a run depends on those before it in the same process.
-                last = first + 1 if self.drive == "mecanum" else len(poses)
-                for index in range(first, last):
-                    run = slice(index, index + 1)
-                    yield run, GazeboTeam(server, poses[run], seeds[run])
-                first = last
+        settings: dict[str, Any] = {"drive": self.drive, "time_step": GAZEBO_STEPS[self.drive], "spare": spare}
+        with GazeboServer(self.robot, self.surroundings, poses.shape[1], **settings) as server:
+            for index in range(len(poses)):
+                run = slice(index, index + 1)
+                yield run, GazeboTeam(server, poses[run], seeds[run])
 
     def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence]) -> World:
         """Put robots at ``poses`` (B, N, 3) into B built-in worlds with their own noise.

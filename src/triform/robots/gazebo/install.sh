@@ -9,11 +9,12 @@ here=$(cd "$(dirname "$0")" && pwd)
 log=$folder/log
 
 # All output goes to the log but progress and, at the end, the reason of a failure.
-exec 3>&1 4>&2 >"$log" 2>&1
+exec 3>&1 4>&2 >>"$log" 2>&1
 
 say() {
     doing=$1
     echo "$doing ..." >&3
+    : >"$log"
 }
 
 fail() {
@@ -23,7 +24,10 @@ fail() {
 }
 
 say_why() {
-    [ "$1" = 0 ] || fail "an error while ${doing:-starting}: $(grep -v '^ *$' "$log" | tail -n 1)"
+    [ "$1" = 0 ] && return
+    local why
+    why=$(grep -iE -m 1 '^E:|error|cannot|no space' "$log" || grep -v '^ *$' "$log" | tail -n 1)
+    fail "it broke off while ${doing:-starting}: ${why:-status $1}"
 }
 trap 'say_why $?' EXIT
 
@@ -33,6 +37,7 @@ if hash gzserver pkg-config g++ && pkg-config --exists 'gazebo >= 11' 'gazebo < 
     say "building the plugin for the Gazebo $(pkg-config --modversion gazebo) of this machine"
     read -ra flags <<<"$(pkg-config --cflags gazebo)"
     g++ "${flags[@]}" "${compile[@]}" "$here/plugin/lockstep.cc" -o "$folder/liblockstep.so"
+    rm "$log"
     exit
 fi
 

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from triform.robots.gazebo import GazeboError, Installation, find_gazebo
+from triform.robots.gazebo.install import install, main
+from triform.robots.gazebo.installation import version
+from triform.types import TriformError
+
+
+@pytest.fixture
+def tools(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The only folder with programs: those every machine has."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name in ("awk", "cksum", "cut", "cat", "dirname", "df", "grep", "mkdir", "rm", "tail", "tar"):
+        found = shutil.which(name)
+        assert found is not None
+        (folder / name).symlink_to(found)
+    monkeypatch.setenv("PATH", str(folder))
+    monkeypatch.setenv("TRIFORM_GAZEBO", str(tmp_path / "gazebo"))
+    return folder
+
+
+def add(tools: Path, name: str, script: str) -> None:
+    (tools / name).write_text(f"#!/bin/sh\n{script}\n")
+    (tools / name).chmod(0o755)
+
+
+def add_gazebo(tools: Path) -> None:
+    """Let it look as if Gazebo 11 were installed with its headers."""
+    add(tools, "gzserver", "exit 1")
+    add(tools, "pkg-config", "echo 11.10.2")
+
+
+def left(tools: Path) -> list[str]:
+    return sorted(path.name for path in (tools.parent / "gazebo").iterdir())
+
+
+def test_without_gazebo_and_without_packages(tools: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    add(tools, "id", "echo 0")
+    assert main() == 1
+    assert capfd.readouterr().err == (
+        "triform: Gazebo could not be made ready: "
+        "there is no Gazebo 11 with headers here, and no apt-get to fetch a private one\n"
+    )
+    assert left(tools) == [".lock"]
+    assert find_gazebo() is None
+
+
+def test_without_root_and_without_user_namespaces(tools: Path) -> None:
+    add(tools, "id", "echo 1000")
+    add(tools, "unshare", "exit 1")
+    with pytest.raises(GazeboError, match="needs root or user namespaces"):
+        install()
+
+
+def test_a_compiler_that_fails_gives_its_reason(tools: Path) -> None:
+    add_gazebo(tools)
+    add(tools, "g++", "echo 'lockstep.cc:6: error: no such header' >&2; echo 'compilation terminated.' >&2; exit 1")
+    with pytest.raises(GazeboError, match=r"building the plugin for the Gazebo 11\.10\.2 .*error: no such header$"):
+        install()
+    assert left(tools) == [".lock"]
+
+
+def test_a_gazebo_that_does_not_run_is_not_kept(tools: Path, gazebo: Installation) -> None:
+    add_gazebo(tools)
+    add(tools, "g++", 'while [ "$1" != -o ]; do shift; done; : >"$2"')
+    with pytest.raises(GazeboError, match="Gazebo ended with status 1"):
+        install()
+    assert left(tools) == [".lock"]
+
+
+def test_what_is_ready_is_left_alone_and_an_unwritable_folder_is_one_sentence(
+    tools: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ready = tools.parent / "gazebo" / version()
+    (ready / "root").mkdir(parents=True)
+    (ready / "liblockstep.so").touch()
+    assert install() == Installation(ready / "liblockstep.so", ready / "root")
+    monkeypatch.setenv("TRIFORM_GAZEBO", "/proc/nowhere")
+    with pytest.raises(TriformError, match="cannot write /proc/nowhere"):
+        install()
