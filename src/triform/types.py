@@ -147,8 +147,9 @@ class View:
         push: Two standard normal numbers of every robot's own seeded generator, drawn anew every ``PUSH_PERIOD``, for
             controllers that push robots at random, shape (B, N, 2); smaller in proportion for bases that are slower
             than the 0.5 m/s for which amplitudes are meant. ``None`` where the team has no such generator.
-        moved: Wheel odometry: the pose of every robot now in its own body frame at the moment that its scan shows
-            [m, m, rad], shape (B, N, 3); ``None`` where the team has none.
+        moved: Wheel odometry: the pose of every robot in its own body frame at the moment that its scan shows
+            [m, m, rad], shape (B, N, 3); of where it would come to rest if told to stop now, which for a base that
+            stops at once is where it is. ``None`` where the team has no odometry.
     """
 
     scans: Scan

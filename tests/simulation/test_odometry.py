@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from triform.control import drive as drive_team
+from triform.control import make_controller
 from triform.control.scan_packer import ScanPacker
 from triform.policy import PackedMaps
-from triform.simulation import IDEAL, Footprint, Profile, World, integrate
-from triform.simulation.odometry import relative_poses
+from triform.simulation import IDEAL, Drive, Footprint, Profile, World, integrate, starts, steer
+from triform.simulation.odometry import relative_poses, resting_poses
 from triform.types import MapConfig, ScanConfig, View
 
 seeds = st.integers(0, 2**32 - 1)
@@ -151,3 +154,34 @@ def test_until_a_scan_is_ready_the_way_is_counted_from_the_start() -> None:
     view = world.observe()
     assert np.isinf(view.scans.ranges).all()
     np.testing.assert_allclose(view.moved, relative_poses(world.poses, poses, view.active), atol=1e-12)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, st.sampled_from([math.inf, 0.5, 2.0]), st.sampled_from([0.0, 0.05, 0.2]), st.booleans())
+def test_robots_that_are_told_to_stop_come_to_rest_where_they_should(
+    seed: int, acceleration: float, lag: float, turning: bool
+) -> None:
+    """Against the drive itself, in small steps, straight on or on the spot."""
+    rng = np.random.default_rng(seed)
+    drive = Drive(max_acceleration=acceleration, max_turn_acceleration=3 * acceleration, lag=lag)
+    pose = random_poses(seed, (1,))
+    velocity = rng.uniform(-0.5, 0.5, (1, 3)) * ([0, 0, 1] if turning else [1, 1, 0])
+    expected, step = resting_poses(pose, velocity, drive), 1e-3
+    for _ in range(3000):
+        pose, velocity = steer(pose, velocity, np.zeros((1, 3)), drive, step)
+    np.testing.assert_allclose(np.abs(velocity), 0.0, atol=1e-3)
+    np.testing.assert_allclose(pose[:, :2], expected[:, :2], atol=2e-3)
+    assert np.abs(np.exp(1j * pose[:, 2]) - np.exp(1j * expected[:, 2])).max() < 2e-3
+
+
+def test_robots_that_stop_at_once_rest_where_they_are() -> None:
+    poses = random_poses(0, (3, 4))
+    np.testing.assert_array_equal(resting_poses(poses, random_poses(1, (3, 4)), Drive()), poses)
+
+
+@pytest.mark.parametrize("slow", [{"lag": 0.15}, {"max_acceleration": 1.5}])
+def test_a_team_whose_wheels_do_not_stop_at_once_settles(slow: dict[str, float]) -> None:
+    """Steered from where robots are now, instead of where they would rest, these teams swing for ever."""
+    world = World(starts(9, 4, 3), replace(IDEAL, drive=replace(IDEAL.drive, **slow)), seeds=range(4))
+    drive_team(world, make_controller("policy"), 30.0)
+    assert np.median(np.linalg.norm(world.velocities[..., :2], axis=-1)) < 0.005

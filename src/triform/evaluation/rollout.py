@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from triform.control import drive
+from triform.control import control_steps, drive
 from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, Team
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -94,6 +94,7 @@ def rollout(
     Raises:
         ConfigurationError: ``duration`` is not a positive whole number of control periods.
     """
+    control_steps(duration, team.control_period)
     records: list[tuple[float, FloatArray, BoolArray]] = []
     commands: list[FloatArray] = []
 

@@ -142,7 +142,7 @@ class DriveConfig:
     @property
     def limits(self) -> Drive:
         """Speeds that commands are cut to."""
-        return Drive(max_axis_speed=self.max_speed, max_turn_rate=self.max_turn_rate)
+        return Drive(max_axis_speed=self.max_speed, max_turn_rate=self.max_turn_rate, lag=HARDWARE.drive.lag)
 
     def open_base(self) -> RoboMaster:
         """Connect to the base.

@@ -11,10 +11,12 @@ from typing import Protocol
 import numpy as np
 
 from triform.simulation import Drive, limit_twists
-from triform.simulation.odometry import relative_poses
+from triform.simulation.odometry import relative_poses, resting_poses
 from triform.simulation.pushes import push_keys, push_size, random_pushes
 from triform.types import FloatArray, RangeArray, Scan, ScanConfig, TriformError, View, require
 
+#: A robot's velocity is taken over this long [s].
+_SPEED_TIME = 0.1
 _ONE = np.ones((1, 1), dtype=np.bool_)
 
 
@@ -228,10 +230,12 @@ class RealRobot:
         time.sleep(max(0.0, self._due - time.monotonic()))
 
     def _moved(self, turn: Turn, now: float) -> FloatArray | None:
-        """Pose now in the frame of the robot in the middle of a turn, shape (1, 1, 3); ``None`` if it is not known."""
+        """Pose at rest in the frame of the robot in the middle of a turn, shape (1, 1, 3); ``None`` if not known."""
         if self._base is None:
             return None
-        then, here = self._base.odometry((turn.started + turn.ended) / 2), self._base.odometry(now)
-        if then is None or here is None:
+        moments = ((turn.started + turn.ended) / 2, now - _SPEED_TIME, now)
+        then, before, here = (self._base.odometry(moment) for moment in moments)
+        if then is None or before is None or here is None:
             return None
-        return relative_poses(here[None, None], then[None, None], _ONE)
+        velocity = relative_poses(here[None, None], before[None, None], _ONE) / _SPEED_TIME
+        return relative_poses(resting_poses(here[None, None], velocity, self._limits), then[None, None], _ONE)

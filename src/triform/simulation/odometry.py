@@ -1,9 +1,13 @@
-"""What wheel odometry tells: how far a robot has come."""
+"""What wheel odometry tells: how far a robot has come, and where it would come to rest."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from triform.simulation.kinematics import integrate
+from triform.simulation.profiles import Drive
 from triform.types import BoolArray, FloatArray
 
 
@@ -23,6 +27,41 @@ def relative_poses(poses: FloatArray, origin: FloatArray, active: BoolArray) -> 
     turned = (turned + np.pi) % (2 * np.pi) - np.pi
     relative = np.stack([cos * d_x + sin * d_y, cos * d_y - sin * d_x, turned], axis=-1)
     return np.where(active[..., None], relative, 0.0)
+
+
+def resting_poses(poses: FloatArray, velocities: FloatArray, drive: Drive) -> FloatArray:
+    """Poses in which robots come to rest if they are told to stop now.
+
+    A controller that steers to a place from where the robot is now drives past it, because wheels do not stop at once,
+    and robots that do so with each other swing about their places. One that steers from here does not.
+
+    Args:
+        poses: Poses in the world frame [m, m, rad], shape (..., 3).
+        velocities: Body twists [m/s, m/s, rad/s], shape (..., 3).
+        drive: What the base can do.
+
+    Returns:
+        Shape (..., 3); where nothing limits the acceleration and nothing lags, ``poses``.
+    """
+    speed = np.linalg.norm(velocities[..., :2], axis=-1, keepdims=True)
+    time = braking_time(speed, drive.max_acceleration, drive.lag)
+    turning = braking_time(np.abs(velocities[..., 2:]), drive.max_turn_acceleration, drive.lag)
+    return integrate(poses, np.concatenate([velocities[..., :2] * time, velocities[..., 2:] * turning], axis=-1), 1.0)
+
+
+def braking_time(speed: FloatArray, acceleration: float, lag: float) -> FloatArray:
+    """For how long a speed would have to be kept to come as far as it takes to brake from it [s].
+
+    Args:
+        speed: Speeds, not negative, of any shape [m/s or rad/s].
+        acceleration: Largest one [m/s^2 or rad/s^2].
+        lag: Time constant of the base [s]: slow robots slow down exponentially, fast ones as fast as they can.
+    """
+    if math.isinf(acceleration):
+        return np.full_like(speed, lag)
+    slow = np.minimum(speed, acceleration * lag)
+    way = (speed**2 - slow**2) / (2 * acceleration) + slow * lag
+    return np.asarray(np.divide(way, speed, out=np.zeros_like(speed), where=speed > 0))
 
 
 def halfway(start: FloatArray, end: FloatArray, active: BoolArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from triform.simulation.lidar import angle_offsets, apply_noise
-from triform.simulation.odometry import halfway, relative_poses
+from triform.simulation.odometry import halfway, relative_poses, resting_poses
 from triform.simulation.profiles import Profile
 from triform.simulation.pushes import push_keys, push_size, random_pushes
 from triform.types import BoolArray, FloatArray, IntArray, PrivilegedView, RangeArray, Scan, require
@@ -140,18 +140,28 @@ class Senses:
         self._next_ray = 0
         self._begin_turn(poses, active)
 
-    def view(self, time: float, poses: FloatArray, active: BoolArray) -> PrivilegedView:
-        """Return the newest scans whose latency has passed, odometry, pushes, and everybody's true pose."""
+    def view(self, time: float, poses: FloatArray, velocities: FloatArray, active: BoolArray) -> PrivilegedView:
+        """Return the newest scans whose latency has passed, odometry, pushes, and everybody's true pose.
+
+        Args:
+            time: Present time [s].
+            poses: Poses in the world frame, shape (B, N, 3).
+            velocities: Body twists, shape (B, N, 3), which wheels know too.
+            active: Which robots exist, shape (B, N).
+        """
         ready = time - self._profile.latency + SAME_TIME
         while self._finished and self._finished[0][0] <= ready:
             _, self._newest, self._shown = self._finished.popleft()
+        moved = None
+        if self._profile.odometry:
+            moved = relative_poses(resting_poses(poses, velocities, self._profile.drive), self._shown, active)
         return PrivilegedView(
             scans=Scan(self._newest, self._profile.lidar.scan),
             active=active.copy(),
             time=time,
             poses=poses.copy(),
             push=self._push_size * random_pushes(self._push_keys, active.shape[1], time),
-            moved=relative_poses(poses, self._shown, active) if self._profile.odometry else None,
+            moved=moved,
         )
 
     def add_robot(self, world: int, robot: int, pose: FloatArray) -> None:

@@ -144,7 +144,7 @@ class World:
 
     def observe(self) -> PrivilegedView:
         """Return the newest scans whose latency has passed, and everybody's true pose."""
-        return self._senses.view(self._time, self._poses, self._active)
+        return self._senses.view(self._time, self._poses, self._velocities, self._active)
 
     def apply(self, commands: FloatArray, duration: float) -> None:
         """Hold body twists for a while.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Literal
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import WHEEL_RADIUS
-from triform.simulation.profiles import Footprint, Profile
+from triform.simulation.profiles import Drive, Footprint, Profile
 from triform.types import require
 
 #: How a base moves: a force in the plane, or four mecanum wheels.
@@ -33,6 +34,15 @@ _WALL_HEIGHT = 0.5
 _BODY, _WHEEL = 1, 2
 
 
+def braked(drive: Drive) -> Drive:
+    """Return a drive with the accelerations that Gazebo's robots are held to."""
+    return replace(
+        drive,
+        max_acceleration=min(drive.max_acceleration, MAX_ACCELERATION),
+        max_turn_acceleration=min(drive.max_turn_acceleration, MAX_TURN_ACCELERATION),
+    )
+
+
 def write_world(profile: Profile, arena: Arena, robots: int, base: Base, time_step: float, plugin: str) -> str:
     """Return an SDF world with a ground, an arena and robots that wait to be placed.
 
@@ -51,13 +61,12 @@ def write_world(profile: Profile, arena: Arena, robots: int, base: Base, time_st
     ode = SubElement(physics, "ode")
     _fill(SubElement(ode, "solver"), type="quick", iters=20)
     _fill(SubElement(ode, "constraints"), cfm=0, erp=0.2)
-    scan, drive = profile.lidar.scan, profile.drive
+    scan, drive = profile.lidar.scan, braked(profile.drive)
     _fill(
         SubElement(world, "plugin", name="lockstep", filename=plugin),
         robots=robots, rays=scan.rays, angle_min=scan.angle_min, range_min=scan.range_min, range_max=scan.range_max,
         lidar_height=_LIDAR_HEIGHT, wheel_radius=WHEEL_RADIUS, lag=drive.lag,
-        max_acceleration=min(drive.max_acceleration, MAX_ACCELERATION),
-        max_turn_acceleration=min(drive.max_turn_acceleration, MAX_TURN_ACCELERATION),
+        max_acceleration=drive.max_acceleration, max_turn_acceleration=drive.max_turn_acceleration,
     )  # fmt: skip
     _add_ground(world)
     for index, (x1, y1, x2, y2) in enumerate(arena.walls.tolist()):

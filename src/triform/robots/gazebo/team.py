@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from triform.robots.gazebo.sdf import braked
 from triform.robots.gazebo.server import GazeboServer, State
 from triform.simulation.arena import Arena
 from triform.simulation.profiles import Profile
@@ -50,7 +52,8 @@ class GazeboTeam:
         self._robots = placed.shape[1]
         self._min_distance, self._touched, self._touched_arena = math.inf, False, False
         self._take(server.reset(placed[0], scan=True))
-        self._senses = Senses(profile, self.poses, self.active, seeds)
+        sensing = replace(profile, drive=braked(profile.drive))
+        self._senses = Senses(sensing, self.poses, self.active, seeds)
         if not profile.lidar.rolling:
             self._senses.finish(self._ranges(), self.poses, self.active)
 
@@ -106,7 +109,7 @@ class GazeboTeam:
 
     def observe(self) -> PrivilegedView:
         """Return the newest scans whose latency has passed, and everybody's true pose."""
-        return self._senses.view(self._time, self.poses, self.active)
+        return self._senses.view(self._time, self.poses, self.velocities, self.active)
 
     def apply(self, commands: FloatArray, duration: float) -> None:
         """Hold body twists for a while.
