@@ -9,7 +9,7 @@ import pytest
 
 from triform.engines import LocalEngine
 from triform.evaluation import EvaluateConfig, Scenario, evaluate, measured, scenario
-from triform.evaluation.measured import MeasuredCells, RunCell, measure_waiting, spread_out
+from triform.evaluation.measured import MeasuredCells, RunCell, describe_runs, digest, measure_waiting, spread_out
 from triform.evaluation.metrics import summarise, wilson_interval
 from triform.types import ConfigurationError, TriformError
 
@@ -162,3 +162,14 @@ def test_measures_are_spread_out_over_columns():
     columns = [("ideal", 5), ("ideal", 7), ("hardware", 5)]
     assert spread_out(summaries, "a", columns, "strict", "%") == ["50 %", "-", "-"]
     assert spread_out(summaries, "b", columns, "strict", "%") == ["-", "100 %", "-"]
+
+
+def test_runs_of_another_body_are_other_runs():
+    scenarios = [
+        Scenario(),
+        Scenario(team="gazebo"),
+        Scenario(team="gazebo", drive="mecanum"),
+        Scenario(profile="hardware"),
+    ]
+    described = [describe_runs(each, each.make_controller(), 5, 10, 7) for each in scenarios]
+    assert len({digest(each) for each in described}) == len(scenarios)

@@ -192,6 +192,8 @@ def describe_runs(
     chosen = ("controller_description", "profile_description", "arena", "distance", "duration")
     settings: dict[str, Any] = {name: described[name] for name in chosen}
     settings |= {"robots": robots, "runs": runs, "seed": seed, "triform": __version__}
+    if scenario.team != "world":
+        settings |= {"team": scenario.team, "drive": scenario.drive}
     described_plainly: dict[str, Any] = plain(settings)
     return described_plainly
 
