@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import functools
+import io
 
 import numpy as np
 import pandas as pd
@@ -225,6 +226,13 @@ def test_gaps_are_bridged_up_to_the_longest_one(tmp_path):
                 read_recordings(tmp_path / "run.csv")
 
 
+def array_header(shape):
+    """The beginning of an .npy file; the numbers are missing."""
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    return file.getvalue()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
@@ -233,13 +241,18 @@ def test_gaps_are_bridged_up_to_the_longest_one(tmp_path):
         ("image.csv", b"\x89PNG\r\n\x1a\n\xff\xfe", "cannot be read: it is no text"),
         ("run.parquet", b"no table", "cannot be read"),
         ("run.npy", b"no array", "not an .npy file"),
+        ("run.npy", b"\x93NUMPY\x01\x00\x12\x00{'shape': (1, 2, 3 ", "not an .npy file"),
+        ("run.npy", array_header((10**15, 2, 3)), "not an .npy file"),
+        ("run.csv", b"a" * 200_000, "field larger than field limit"),
+        ("run.csv", b"time,robot,x,y,heading\n" + b"a" * 200_000 + b",0,0,0,0", "field larger than field limit"),
     ],
 )
 def test_foreign_files_are_refused(tmp_path, name, content, says):
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(TriformError, match=says):
+    with pytest.raises(TriformError, match=says) as caught:
         read_recordings(tmp_path / name, rate=10)
+    assert "\n" not in str(caught.value)
 
 
 def test_arrays_of_other_shapes_types_or_without_a_rate_are_refused(tmp_path):

@@ -97,6 +97,16 @@ def test_a_take_measures_as_the_run_that_it_shows(tmp_path, rotation, units):
         np.testing.assert_allclose(found[name], column, rtol=0, atol=1e-9, err_msg=name)
 
 
+def test_the_newest_version_has_a_line_of_parents(tmp_path):
+    path = write_take(tmp_path / "take.csv", driven(), version="1.25")
+    lines = path.read_bytes().split(b"\r\n")
+    assert lines[4].startswith(b",ID,")
+    lines.insert(5, b",Parent" + b"," * (lines[4].count(b",") - 1))
+    path.write_bytes(b"\r\n".join(lines))
+    (recording,) = read_recordings(path)
+    np.testing.assert_allclose(recording.trajectory.poses[..., :2], driven().poses[..., :2], atol=1e-6)
+
+
 def test_six_decimals_are_as_good_as_six_decimals(tmp_path):
     trajectory = driven()
     (recording,) = read_recordings(write_take(tmp_path / "take.csv", trajectory))
@@ -144,7 +154,8 @@ def test_axes_are_those_of_scipy(angles, order):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"version": "1.1"}, "format version '1.1'; 1.2 to 1.23 can be read"),
+        ({"version": "1.1"}, "format version '1.1'; 1.2 to 1.25 can be read"),
+        ({"version": "1.26"}, "format version '1.26'; 1.2 to 1.25 can be read"),
         ({"units": "Inches"}, "length units 'Inches'; allowed are Meters, Centimeters, Millimeters"),
         ({"space": "Local"}, "coordinate space 'Local'; Global is needed"),
     ],

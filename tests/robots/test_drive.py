@@ -18,9 +18,11 @@ from rich.console import Console
 
 from triform.robots import drive as drive_module
 from triform.robots.drive import DriveConfig, run_drive
-from triform.robots.drive_status import Budget
+from triform.robots.drive_status import Budget, StatusLine
 from triform.robots.real import Step
 from triform.robots.recorder import CsvLog
+from triform.robots.screen import Screen
+from triform.robots.stop_signals import StopSignals
 from triform.simulation import ROBOMASTER_EP, Arena, cast_scans
 from triform.types import ConfigurationError, Scan, ScanConfig, TriformError, View
 
@@ -68,6 +70,7 @@ class FakeBase:
 
     lost = False
     signal: int | None = None
+    battery = 73
 
     def __init__(self, *_: object, **__: object) -> None:
         self.commands: list[np.ndarray] = []
@@ -124,6 +127,7 @@ def test_drives_away_from_a_robot_that_is_too_near_and_stops_at_the_end() -> Non
     assert commands[-1, 0] == pytest.approx(-0.1)
     assert "neighbours 1" in said
     assert "30 commands" in said
+    assert "(battery 73 %)" in said
     assert "scans used" in said
 
 
@@ -143,6 +147,7 @@ def test_the_budget_tells_map_from_policy() -> None:
 
 def test_the_recording_says_what_was_seen_and_done(tmp_path: Path) -> None:
     folder = tmp_path / "recording"
+    before = time.time()
     config = DriveConfig(
         controller="scan-pipeline", duration=1.0, rate=10.0, record=folder, robot=3, start_pose=(5.0, -1.0, 1.0), seed=8
     )
@@ -152,7 +157,7 @@ def test_the_recording_says_what_was_seen_and_done(tmp_path: Path) -> None:
     assert len(steps) == 10
     time_of = [float(step["time"]) for step in steps]
     assert time_of == sorted(time_of)
-    assert time_of[0] >= 0
+    assert before <= time_of[0] + 1e-3 <= time_of[-1] <= time.time() + 1e-3
     for step, command in zip(steps, made[0].commands, strict=True):
         assert step["robot"] == "3"
         # The wheels say that the robot has not moved, so it is where it started.
@@ -214,6 +219,46 @@ def test_a_signal_stops_the_wheels_and_shows_the_budget(
     assert "5 commands" in shown.getvalue()
     assert json.loads((tmp_path / "r/drive.json").read_text())["ended"] == str(status)
     assert signal.getsignal(number) is before
+
+
+def test_what_ended_a_drive_is_recorded_even_if_it_is_an_error_of_the_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stumble(*_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(FakeBase, "odometry", stumble)
+    with pytest.raises(ZeroDivisionError):
+        run(DriveConfig(controller="scan-pipeline", record=tmp_path / "r"))
+    assert made[0].stops == 1
+    assert json.loads((tmp_path / "r/drive.json").read_text())["ended"] == "a bug"
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_a_robot_drives_on_and_records_where_nothing_can_be_shown(tmp_path: Path, terminal: bool) -> None:
+    """As on a full disk, and at a terminal that has been closed."""
+    config = DriveConfig(controller="scan-pipeline", duration=1.5, rate=10.0, record=tmp_path / "r")
+    with Path("/dev/full").open("w") as full:
+        run_drive(config, Console(file=full, width=200, force_terminal=terminal))
+    assert len(made[0].commands) == 15
+    assert json.loads((tmp_path / "r/drive.json").read_text())["ended"] == "its time is over"
+
+
+def test_names_of_files_are_shown_as_they_are(tmp_path: Path) -> None:
+    folder = tmp_path / "[red]run[/red]"
+    assert f"recorded in {folder}" in run(
+        DriveConfig(controller="scan-pipeline", duration=0.5, rate=10.0, record=folder)
+    )
+
+
+def test_nohup_holds() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopSignals() as signals:
+            os.kill(os.getpid(), signal.SIGHUP)
+            signals.check()
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_lost_lidar_stops_the_wheels(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,6 +323,18 @@ def test_where_the_base_is() -> None:
 def test_a_guard_that_is_not_wanted_is_left_out() -> None:
     said = [DriveConfig(guard=guard).make_controller(lambda: None).description for guard in (True, False)]
     assert ["guard" in each for each in said] == [True, False]
+
+
+def test_the_line_tells_the_rate_from_the_first_second_on_and_no_negative_zero() -> None:
+    config = ScanConfig(rays=8)
+    view = View(Scan(np.ones((1, 1, 8)), config), np.ones((1, 1), bool), 0.0)
+    shown = io.StringIO()
+    line = StatusLine(Screen(Console(file=shown, width=200)), (0.3, 0.2), dry_run=False)
+    command = np.array([0.1, -0.001, -1e-9])
+    for k in range(9):
+        sent = 100 + k / 8
+        line.show(Step(sent - 0.02, sent - 0.01, sent, None, view, command, None, blind=True, late=False))
+    assert shown.getvalue() == "0.0 s, 8.0 Hz, no scan yet, sent +0.10 +0.00 m/s +0.00 rad/s\n"
 
 
 def test_scans_that_no_command_used_are_missed() -> None:

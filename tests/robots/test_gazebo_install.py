@@ -74,6 +74,18 @@ def test_a_gazebo_that_does_not_run_is_not_kept(tools: Path, gazebo: Installatio
     assert left(tools) == [".lock"]
 
 
+def test_only_what_was_made_here_is_replaced(tools: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder may be any folder of the user's, such as the home folder."""
+    folder = tools.parent / "gazebo"
+    for name in ("0123456789abcdef", "0123456789abcdef.building", "downloads-42", "thesis", "building", "0123"):
+        (folder / name / "inside").mkdir(parents=True)
+    add_gazebo(tools)
+    add(tools, "g++", 'while [ "$1" != -o ]; do shift; done; : >"$2"')
+    monkeypatch.setattr("triform.robots.gazebo.install._check", lambda built: None)
+    assert install().plugin == folder / version() / "liblockstep.so"
+    assert left(tools) == sorted([".lock", "0123", "building", "thesis", version()])
+
+
 def test_what_is_ready_is_left_alone_and_an_unwritable_folder_is_one_sentence(
     tools: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

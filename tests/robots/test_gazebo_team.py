@@ -54,6 +54,25 @@ def test_rolling_turns_errors_and_latency_are_those_of_the_built_in_world(gazebo
     assert np.isnan(expected.scans.ranges).any()
 
 
+def test_rays_of_a_rolling_turn_are_measured_on_the_way(gazebo):
+    """Robots that turn by 14 degrees per turn of their LiDAR: what is measured too early or late is rays away."""
+    lidar = replace(HARDWARE.lidar, noise=(), dropout=0.0)
+    turning = replace(HARDWARE, lidar=lidar, drive=replace(HARDWARE.drive, max_turn_acceleration=10.0))
+    commands = np.tile([0.05, 0.05, 1.5], (1, ROBOTS, 1)) * np.array([1, -1, 1, -1, 1])[None, :, None]
+    with GazeboServer(turning, OPEN, ROBOTS) as server:
+        team, world = GazeboTeam(server, START, SEEDS), World(START, turning, seeds=SEEDS)
+        same = {shift: [] for shift in (-5, 0, 5)}
+        for _ in range(10):
+            for body in (team, world):
+                body.apply(commands, turning.control_period)
+            seen, expected = (np.isfinite(body.observe().scans.ranges) for body in (team, world))
+            for shift, shares in same.items():
+                shares.append((np.roll(seen, shift, axis=-1) == expected).mean())
+    assert expected.mean() > 0.02
+    assert np.mean(same[0]) > 0.99
+    assert np.mean(same[0]) > max(np.mean(same[-5]), np.mean(same[5])) + 0.005
+
+
 def test_robots_move_like_those_of_the_built_in_world(gazebo):
     limited = replace(IDEAL, drive=replace(IDEAL.drive, max_acceleration=MAX_ACCELERATION))
     controller = make_controller("triangulating")

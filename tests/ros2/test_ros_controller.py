@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import math
 import signal
 import time
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.ros2.conftest import PACKAGE, Executable, Ros
+from tests.ros2.conftest import Executable, Ros
 from triform.control import Guard, Guarded, make_controller
 from triform.perception import occupancy_maps
 from triform.types import MapConfig, Scan, ScanConfig, View
@@ -220,9 +219,20 @@ def test_bad_parameters_are_refused_in_one_sentence(ros: Ros, name: str, paramet
     assert told in lines[0]
 
 
-def test_the_launch_files_are_python_and_name_what_there_is() -> None:
-    for path in (PACKAGE / "launch").iterdir():
-        tree = ast.parse(path.read_text())
-        names = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
-        assert "triform_ros" in names
-        assert names & {"controller", "gazebo_bridge"}
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["-p", "distance"], "'-p distance'"),
+        (["-r", "__ns:=two words"], "'-r __ns:=two words'"),
+        (["--params-file", "/proc/none.yaml"], "Error opening YAML file"),
+        (["-p", "footprint:=[]"], "PARAMETER_NOT_SET"),
+    ],
+)
+def test_arguments_that_ros_cannot_read_are_refused_in_one_sentence(ros: Ros, arguments: list[str], told: str) -> None:
+    refused = ros.start("controller", *arguments)
+    assert refused.wait() == 1
+    # What comes before is ROS's own.
+    own = [line for line in refused.log.strip().splitlines() if "[rcl]" not in line]
+    assert len(own) == 1
+    assert own[0].startswith("triform: ROS cannot use the arguments: ")
+    assert told in own[0]

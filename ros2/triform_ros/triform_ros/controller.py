@@ -36,6 +36,7 @@ PARAMETERS = (
     Parameter("max_turn_rate", 1.0, "Largest turn rate [rad/s]", 0.01, 10.0),
     Parameter("max_acceleration", 2.0, "Largest acceleration; braking is never delayed [m/s^2]", 0.05, 100.0),
     Parameter("max_turn_acceleration", 5.0, "The same for turning [rad/s^2]", 0.05, 100.0),
+    Parameter("lag", 0.0, "Time constant of the base; with use_odom, where it would come to rest counts [s]", 0.0, 2.0),
     Parameter("stamped", False, "Whether commands are TwistStamped and not Twist"),
     Parameter("publish_map", False, "Whether to publish the map that the policy sees on map"),
     Parameter("guard", True, "Whether the robot is kept from driving into what its scan shows"),
@@ -73,7 +74,8 @@ class Controlled:
             period,
             # Robots that share their seed, as those of one parameter file do, differ in their names.
             (given["seed"] << 32) + zlib.crc32(node.get_fully_qualified_name().encode()),
-            limits,
+            # The limits of acceleration are those of commands, and braking has none.
+            replace(limits, max_acceleration=math.inf, max_turn_acceleration=math.inf, lag=given["lag"]),
             odometry=given["use_odom"],
             scan_timeout=given["scan_timeout"],
             on_sent=None if maps is None else maps.publish,

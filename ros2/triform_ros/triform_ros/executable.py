@@ -5,11 +5,12 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Protocol
 
 import rclpy
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -45,22 +46,34 @@ def run_executable(name: str, make: Callable[[Node], Runner], args: list[str] | 
     Returns:
         0 after a signal, 1 after an error, which is told in one sentence.
     """
-    # Handlers of ROS would shut it down before the last command has been published.
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        _run(name, make, args)
+    except TriformError as error:
+        print(f"triform: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _run(name: str, make: Callable[[Node], Runner], args: list[str] | None) -> None:
+    """Run until a signal comes.
+
+    Raises:
+        TriformError: The arguments cannot be used, or the node cannot go on.
+    """
+    with _refusing_arguments():
+        # Handlers of ROS would shut it down before the last command has been published.
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
     listening = threading.Thread(target=_listen, args=[executor])
     runner: Runner | None = None
-    with StopSignals() as signals:
+    with StopSignals() as signals, suppress(SystemExit):
         try:
-            runner = make(rclpy.create_node(name, automatically_declare_parameters_from_overrides=True))
-            executor.add_node(runner.node)
+            with _refusing_arguments():
+                node = rclpy.create_node(name, automatically_declare_parameters_from_overrides=True)
+            runner = make(node)
+            executor.add_node(node)
             listening.start()
             runner.run(signals.check)
-        except TriformError as error:
-            print(f"triform: {error}", file=sys.stderr)
-            return 1
-        except SystemExit:
-            return 0
         finally:
             # Nothing may come before the last deed, whoever presses Ctrl-C again.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -70,7 +83,16 @@ def run_executable(name: str, make: Callable[[Node], Runner], args: list[str] | 
             if listening.is_alive():
                 listening.join()
             rclpy.try_shutdown()
-    return 0
+
+
+@contextmanager
+def _refusing_arguments() -> Iterator[None]:
+    """Say in one sentence what ROS itself does not take: remappings, files of parameters, values that are empty."""
+    try:
+        yield
+    except (RuntimeError, ValueError, NameValidationException) as error:
+        reason = str(error).splitlines()[0].removeprefix("failed to initialize rcl: ").split(", at /")[0]
+        raise TriformError(f"ROS cannot use the arguments: {reason}") from error
 
 
 def _listen(executor: SingleThreadedExecutor) -> None:

@@ -1,4 +1,4 @@
-"""Recordings of the motion capture system OptiTrack: the CSV export of Motive, format versions 1.2 to 1.23.
+"""Recordings of the motion capture system OptiTrack: the CSV export of Motive, format versions 1.2 to 1.25.
 
 Motive's world is right-handed with y up. Ours is the same one with its axes renamed in a cycle, so that nothing is
 mirrored: x is Motive's z, y is Motive's x, and up is Motive's y. The front of a robot is the z axis of its rigid body,
@@ -8,6 +8,7 @@ so a body that was defined while its robot faced along Motive's z axis has the r
 from __future__ import annotations
 
 import csv
+import re
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -46,8 +47,8 @@ def read_motive(path: Path) -> list[RawRun]:
         _setting(head[0], name) for name in (SIGNATURE, "Rotation Type", "Length Units", "Coordinate Space")
     )
     axes = "XYZW" if rotation == "Quaternion" else "XYZ"
-    if not version.startswith("1.2"):
-        raise TriformError(f"{path} is a Motive export of format version {version!r}; 1.2 to 1.23 can be read")
+    if not re.fullmatch("1[.]2[0-5]?", version):
+        raise TriformError(f"{path} is a Motive export of format version {version!r}; 1.2 to 1.25 can be read")
     if units not in _METRES:
         raise TriformError(f"{path} has length units {units!r}; allowed are {', '.join(_METRES)}")
     if space not in ("", "Global"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import tokenize
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,8 +96,8 @@ def read_array(path: Path, rate: float | None) -> list[RawRun]:
     try:
         with path.open("rb") as file:
             values = np.lib.format.read_array(file, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise TriformError(f"{path} is not an .npy file of numbers: {error}") from None
+    except (ValueError, EOFError, MemoryError, tokenize.TokenError) as error:
+        raise TriformError(f"{path} is not an .npy file of numbers: {_first_line(error)}") from None
     if values.dtype.kind not in "fiu" or values.ndim not in (3, 4) or values.shape[-1] != 3:
         raise TriformError(
             f"{path} holds {values.dtype} of shape {values.shape}; poses of shape (T, N, 3) or (B, T, N, 3) are needed"
@@ -137,7 +138,7 @@ def read_parquet(path: Path) -> list[RawRun]:
         kept = _kept(path, parquet.read_schema(path).names)
         table = parquet.read_table(path, columns=kept)
     except pa.ArrowException as error:
-        raise TriformError(f"{path} cannot be read: {error}") from None
+        raise TriformError(f"{path} cannot be read: {_first_line(error)}") from None
     for index, name in enumerate(table.column_names):
         kind = pa.float64() if name in _NUMBERS else pa.string()
         try:
@@ -183,7 +184,7 @@ def read_cells(path: Path, lines: int, width: int, wanted: Mapping[int, str], te
             ),
         )
     except pa.ArrowException as error:
-        reason = str(error)
+        reason = _first_line(error)
     else:
         if not any(table[name].null_count for name in ("time", *texts)):
             return table
@@ -209,6 +210,10 @@ def _first_bad_line(path: Path, lines: int, width: int, wanted: Mapping[int, str
                 if name not in texts and not (cell in _MISSING or _is_number(cell)):
                     return f"{path}, line {reader.line_num}, column {name}: {cell!r} is not a number"
     return f"{path} holds no poses below its headings" if empty else None
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0]
 
 
 def _is_number(cell: str) -> bool:

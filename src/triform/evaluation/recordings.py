@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,8 +59,8 @@ def read_recordings(
     """
     try:
         raw = _read(path, rate)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = "it is no text" if isinstance(error, UnicodeDecodeError) else getattr(error, "strerror", None)
         raise TriformError(f"{path} cannot be read: {(reason or str(error)).lower()}") from None
     recordings = [even_out(run, start, end) for run in raw]
     if not recordings:

@@ -22,6 +22,7 @@ from triform.evaluation.metrics import quantile
 from triform.policy import PolicyRuntime
 from triform.robots.ldrobot import LD20, PACKET, PacketParser, TurnAssembler, encode_packets
 from triform.robots.ldrobot.packets import CLOCK_WRAP
+from triform.robots.ldrobot.port import READ_PERIOD
 from triform.simulation import HARDWARE
 from triform.threads import limit_threads
 from triform.types import Controller, FloatArray, RangeArray, Scan, ScanConfig, View
@@ -59,11 +60,11 @@ class Moment:
     """One turn of a robot's LiDAR.
 
     Attributes:
-        packets: What the LiDAR sends.
+        reads: What the LiDAR sends, cut as its port reads it.
         view: What the robot sees then, B = N = 1.
     """
 
-    packets: list[bytes]
+    reads: list[bytes]
     view: View
 
 
@@ -89,7 +90,7 @@ def load_moments(path: Path) -> list[Moment]:
         names = ("packets", "ranges", "time", "push", "moved")
         return [
             Moment(
-                [packet.tobytes() for packet in packets],
+                [read.tobytes() for read in np.array_split(packets.ravel(), round(LD20.period / READ_PERIOD))],
                 View(Scan(ranges[None, None], config), active, float(moment), push=push, moved=moved),
             )
             for packets, ranges, moment, push, moved in zip(*(saved[name] for name in names), strict=True)
@@ -157,12 +158,12 @@ class Robot:
         self._controller = Guarded(_Noting(policy, self._watch), guard)
 
     def step(self, moment: Moment) -> list[float]:
-        """Parse a turn, packet by packet as they arrive, and command; return the time of every stage and of all [s]."""
+        """Parse a turn, read by read as it arrives, and command; return the time of every stage and of all [s]."""
         self._watch.noted.clear()
         self._watch()
-        for packet in moment.packets:
-            self._time += LD20.period / len(moment.packets)
-            self._assembler.add(self._parser.feed(packet), self._time)
+        for read in moment.reads:
+            self._time += LD20.period / len(moment.reads)
+            self._assembler.add(self._parser.feed(read), self._time)
         self._watch()
         self._controller.command(moment.view)
         self._watch()

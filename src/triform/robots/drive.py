@@ -31,6 +31,7 @@ from triform.robots.ldrobot import MODELS, LidarModel, LidarPort
 from triform.robots.real import RealRobot, Step
 from triform.robots.recorder import Recorder
 from triform.robots.robomaster import USB_ADDRESS, WIFI_ADDRESS, RoboMaster
+from triform.robots.screen import Screen
 from triform.robots.stop_signals import StopSignals
 from triform.simulation import HARDWARE, Drive
 from triform.threads import limit_threads
@@ -80,7 +81,7 @@ class DriveConfig:
     rate: float = 8.0
     max_speed: float = HARDWARE.drive.max_axis_speed
     max_turn_rate: float = 1.0
-    watchdog: float = 0.4
+    watchdog: float = 0.3
     duration: float | None = None
     dry_run: bool = False
     record: Path | None = None
@@ -199,12 +200,9 @@ def run_drive(config: DriveConfig, console: Console) -> None:
             recording cannot be used. The wheels are stopped.
         SystemExit: A signal ended the run, and all is stopped, shown and written.
     """
-    budget, signals = Budget(), StopSignals()
+    budget, screen = Budget(), Screen(console)
     controller = config.make_controller(budget.clock)
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if config.seed is None else config.seed
-
-    def warn(sentence: str) -> None:
-        console.print(f"warning: {sentence}", style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     with limit_threads(1), ExitStack() as stack:
         lidar = stack.enter_context(LidarPort(config.lidar, config.model, config.scan, config.mounting))
@@ -212,12 +210,16 @@ def run_drive(config: DriveConfig, console: Console) -> None:
         base = None
         if not config.dry_run:
             base = stack.enter_context(config.open_base())
+        signals = stack.enter_context(StopSignals())
         recorder = None
         if config.record is not None:
-            recorder = Recorder(config.record, config.scan.rays, config.robot, config.start_pose, warn)
-        wheels = "no wheels (dry run)" if base is None else f"the base at {config.base_address}"
-        console.print(f"{config.controller} drives {wheels} by the LiDAR at {config.lidar}", soft_wrap=True)
-        line = StatusLine(console, config.footprint, config.dry_run)
+            recorder = Recorder(config.record, config.scan.rays, config.robot, config.start_pose, screen.warn)
+        wheels = "no wheels (dry run)"
+        if base is not None:
+            battery = "unknown" if base.battery is None else f"{base.battery} %"
+            wheels = f"the base at {config.base_address} (battery {battery})"
+        screen.print(f"{config.controller} drives {wheels} by the LiDAR at {config.lidar}")
+        line = StatusLine(screen, config.footprint, config.dry_run)
 
         def tell(step: Step) -> None:
             budget.add(step)
@@ -232,7 +234,7 @@ def run_drive(config: DriveConfig, console: Console) -> None:
         }
         ended = "its time is over"
         try:
-            with signals, line, _stopping(base):
+            with line, _stopping(base):
                 robot = RealRobot(
                     lidar,
                     base,
@@ -241,17 +243,17 @@ def run_drive(config: DriveConfig, console: Console) -> None:
                     config.limits,
                     odometry=config.odometry,
                     on_sent=tell,
-                    warn=warn,
+                    warn=screen.warn,
                 )
                 drive(robot, controller, config.duration or math.inf, lambda *_: signals.check())
-        except (TriformError, SystemExit) as error:
-            ended = str(error)
+        except BaseException as error:
+            ended = str(error) or type(error).__name__
             raise
         finally:
-            budget.print(console)
             if recorder is not None:
                 recorder.finish({**facts, "ended": ended, "latency": budget.summary()})
-                console.print(f"recorded in {config.record}", soft_wrap=True)
+                screen.print(f"recorded in {config.record}")
+            budget.print(screen)
 
 
 @contextmanager

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from triform.control.detection import detect_robots
 from triform.robots.real import Step, Turn
+from triform.robots.screen import Screen
 
 #: Parts of the way from a finished scan to the wheels, and what each is.
 PARTS = {
@@ -82,7 +82,7 @@ class Budget:
             },
         }
 
-    def print(self, console: Console) -> None:
+    def print(self, screen: Screen) -> None:
         """Show the table of latencies and the counts."""
         table = Table(title="latency [ms]", title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=0)
         table.add_column("part")
@@ -92,11 +92,10 @@ class Budget:
         for name, quantiles in self.summary()["seconds"].items():
             table.add_row(name, *(f"{1000 * value:.1f}" for value in quantiles.values()), f"  {PARTS[name]}")
         if table.row_count:
-            console.print(table)
-        console.print(
+            screen.print(table)
+        screen.print(
             f"{self.steps} commands, {self.late_ticks} late, {self.blind_steps} without a fresh scan; "
-            f"{self.scans_used} scans used, {self.scans_missed} missed",
-            soft_wrap=True,
+            f"{self.scans_used} scans used, {self.scans_missed} missed"
         )
 
     def _count_turn(self, turn: Turn) -> None:
@@ -112,26 +111,30 @@ class Budget:
 class StatusLine:
     """One line about the robot: four times a second on a terminal, else a new one every second."""
 
-    def __init__(self, console: Console, footprint: tuple[float, float], dry_run: bool) -> None:
+    def __init__(self, screen: Screen, footprint: tuple[float, float], dry_run: bool) -> None:
         """Prepare the line.
 
         Args:
-            console: Where to.
+            screen: Where to.
             footprint: Length and width of the robots, by which neighbours are counted [m].
             dry_run: Whether commands are shown only.
         """
-        self._console = console
+        self._screen = screen
         self._footprint = footprint
         self._verb = "would send" if dry_run else "sent"
-        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-        self._period = 0.25 if self._live is not None else 1.0
-        self._shown = time.monotonic()
+        self._live: Live | None = None
+        self._period = 1.0
+        if screen.console.is_terminal:
+            self._live = Live(console=screen.console, auto_refresh=False, transient=True)
+            self._period = 0.25
+        self._shown = math.nan
         self._steps = 0
 
     def __enter__(self) -> StatusLine:
         """Take the line."""
         if self._live is not None:
-            self._live.start()
+            with self._screen.losing():
+                self._live.start()
         return self
 
     def __exit__(
@@ -139,10 +142,14 @@ class StatusLine:
     ) -> None:
         """Give the line back."""
         if self._live is not None:
-            self._live.stop()
+            with self._screen.losing():
+                self._live.stop()
 
     def show(self, step: Step) -> None:
         """Show a step if it is time to."""
+        if math.isnan(self._shown):
+            self._shown = step.sent
+            return
         self._steps += 1
         passed = step.sent - self._shown
         if passed < self._period:
@@ -150,12 +157,14 @@ class StatusLine:
         line = self._line(step, self._steps / passed)
         self._shown, self._steps = step.sent, 0
         if self._live is None:
-            self._console.print(line, soft_wrap=True)
+            self._screen.print(line)
         else:
-            self._live.update(line, refresh=True)
+            with self._screen.losing():
+                self._live.update(line, refresh=True)
 
     def _line(self, step: Step, rate: float) -> Text:
-        forward, left, turning = step.command
+        # Adding zero turns a negative zero into zero.
+        forward, left, turning = step.command.round(2) + 0.0
         if step.turn is None:
             sight = "no scan yet"
         elif step.blind:

@@ -20,6 +20,7 @@ from rich.console import Console
 from triform.robots.ldrobot import MODELS, LidarEmulator, LidarModel
 from triform.robots.recorder import POSE_COLUMNS, CsvLog
 from triform.robots.robomaster import RoboMasterEmulator
+from triform.robots.screen import Screen
 from triform.robots.stop_signals import StopSignals
 from triform.simulation import HARDWARE, Arena, LidarConfig, World, apply_noise, cast_rolling, get_arena, starts
 from triform.simulation.odometry import relative_poses
@@ -207,19 +208,16 @@ def run_emulate(config: EmulateConfig, console: Console) -> None:
         TriformError: There is no such arena, a port cannot be opened, or the recording cannot be begun.
         SystemExit: A signal ended the run.
     """
-
-    def warn(sentence: str) -> None:
-        console.print(f"warning: {sentence}", style="yellow", markup=False, highlight=False, soft_wrap=True)
-
+    screen = Screen(console)
     with closing(Emulation(config)) as emulation, ExitStack() as stack:
         # The first steps load compiled kernels, which takes longer than any LiDAR is silent.
         while emulation.time <= config.latency + STEP:
             emulation.step()
         log = None
         if config.record is not None:
-            log = stack.enter_context(closing(CsvLog(config.record, POSE_COLUMNS, warn)))
+            log = stack.enter_context(closing(CsvLog(config.record, POSE_COLUMNS, screen.warn)))
         for robot in range(config.robots):
-            console.print(drive_command(config, emulation, robot), highlight=False, markup=False, soft_wrap=True)
+            screen.print(drive_command(config, emulation, robot))
         duration = config.duration or math.inf
         longest_behind, steps, began = 0.0, 0, time.monotonic() - emulation.time
         try:
@@ -237,8 +235,7 @@ def run_emulate(config: EmulateConfig, console: Console) -> None:
         finally:
             took = time.monotonic() - began
             factor = emulation.time / took
-            console.print(
+            screen.print(
                 f"{emulation.time:.1f} s emulated in {took:.1f} s, at most {1000 * longest_behind:.0f} ms behind: "
-                f"real-time factor {factor:.3f}",
-                soft_wrap=True,
+                f"real-time factor {factor:.3f}"
             )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import platform
+import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -75,17 +77,18 @@ class CsvLog:
         if self._going_on:
             self._size += len(data)
             return
-        self._file.truncate(self._size)
+        with suppress(OSError):
+            self._file.truncate(self._size)
         self._warn(f"{self._path} ends here, and the robot drives on: {reason}")
 
 
 class Recorder:
     """Writes what one robot saw, did and, by its wheels, where it went.
 
-    ``steps.csv`` has a row per command: its time since the start, the pose by odometry in the frame of the start
-    (``nan`` where the wheels do not say), the command as sent, the age of its scan when it was used, the time from the
-    end of that scan until the base had the command, and whether the scan was fresh and the command late.
-    ``scans.csv`` has a row per scan, and ``drive.json`` says at the end how the robot was driven.
+    ``steps.csv`` has a row per command: its time, the pose by odometry in the frame of the start (``nan`` where the
+    wheels do not say), the command as sent, the age of its scan when it was used, the time from the end of that scan
+    until the base had the command, and whether the scan was fresh and the command late. ``scans.csv`` has a row per
+    scan, and ``drive.json`` says at the end how the robot was driven. Times are Unix times, which all robots share.
     """
 
     def __init__(
@@ -108,6 +111,8 @@ class Recorder:
             raise TriformError(f"{folder} already holds a recording; choose another folder for this one")
         self._folder, self._robot, self._warn = folder, robot, warn
         self._start = np.asarray(start, dtype=np.float64)
+        # Added once for all: the time of day may be set while the robot drives.
+        self._epoch = time.time() - time.monotonic()
         self._origin: FloatArray | None = None
         self._turn: Turn | None = None
         self._steps = CsvLog(folder / STEPS_FILE, _STEP_COLUMNS, warn)
@@ -115,18 +120,16 @@ class Recorder:
 
     def add(self, step: Step) -> None:
         """Write a step, and its scan if it is a new one."""
-        began = step.seen - step.view.time
         turn = step.turn
         age = latency = np.nan
         if turn is not None:
             age, latency = step.seen - turn.ended, step.sent - turn.ended
             if turn is not self._turn:
-                self._scans.write([turn.started - began, turn.ended - began, *turn.ranges], 4)
+                self._scans.write([turn.started + self._epoch, turn.ended + self._epoch, *turn.ranges], 4)
                 self._turn = turn
         pose = self._placed(step.pose)
-        self._steps.write(
-            [step.sent - began, self._robot, *pose, *step.command, age, latency, int(not step.blind), int(step.late)]
-        )
+        flags = int(not step.blind), int(step.late)
+        self._steps.write([step.sent + self._epoch, self._robot, *pose, *step.command, age, latency, *flags])
 
     def finish(self, facts: dict[str, Any]) -> None:
         """End the recording and write ``drive.json``: ``facts`` and the versions that were used."""

@@ -9,7 +9,7 @@ from types import FrameType, TracebackType
 class StopSignals:
     """Notes Ctrl-C, SIGTERM and a closed terminal, so that they never cut a message to a robot or a line of a file.
 
-    Works in a program's main thread only.
+    A program under ``nohup`` goes on when its terminal is closed. Works in a program's main thread only.
     """
 
     def __init__(self) -> None:
@@ -18,7 +18,9 @@ class StopSignals:
 
     def __enter__(self) -> StopSignals:
         """Begin to listen."""
-        noted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        noted = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+            noted.append(signal.SIGHUP)
         self._before = {each: signal.signal(each, self._note) for each in noted}
         return self
 

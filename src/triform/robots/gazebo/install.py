@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -16,6 +17,9 @@ from triform.robots.gazebo.server import GazeboError, GazeboServer
 from triform.simulation.arena import Arena
 from triform.simulation.profiles import IDEAL
 from triform.types import TriformError
+
+#: What is made here, and nothing else in the folder, which may be any folder of the user's.
+_OURS = re.compile(r"[0-9a-f]{16}(\.building)?|downloads-[0-9]+")
 
 
 def install() -> Installation:
@@ -32,7 +36,7 @@ def install() -> Installation:
         found = find_gazebo()
         if found is not None:
             return found
-        building, place = folder / "building", folder / version()
+        building, place = folder / f"{version()}.building", folder / version()
         _remove(building)
         make_folder(building)
         try:
@@ -41,7 +45,7 @@ def install() -> Installation:
             root = building / "root"
             _check(Installation(building / "liblockstep.so", root if root.is_dir() else None))
             for other in folder.iterdir():
-                if other.is_dir() and other != building:
+                if _OURS.fullmatch(other.name) and other.is_dir() and other != building:
                     _remove(other)
             building.rename(place)
         finally:
