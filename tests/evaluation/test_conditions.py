@@ -14,8 +14,8 @@ def test_every_condition_is_swept_over_every_size():
     counted = Counter(cell.condition for cell in cells)
     assert tuple(SWEEPS) == CONDITIONS
     assert counted == {
-        "range-noise": 12, "dropped-rays": 10, "scan-rate": 10, "latency": 12, "speed": 10, "footprint": 14,
-        "arena": 6, "team-size": 10, "distance": 10, "incident": 7,
+        "range-noise": 12, "dropped-rays": 10, "scan-rate": 10, "latency": 12, "speed": 10, "acceleration": 8,
+        "lag": 10, "footprint": 14, "arena": 6, "team-size": 10, "distance": 10, "incident": 7,
     }  # fmt: skip
     assert len({(cell.condition, cell.label, cell.robots) for cell in cells}) == len(cells)
     assert len({cell.name for cell in cells}) == len(cells)
@@ -43,7 +43,7 @@ def test_values_are_in_the_units_of_the_scenario():
 def test_the_ideal_profile_is_one_value_of_its_conditions():
     config = ConditionsConfig(controller="expert")
     profile = Scenario().robot
-    for condition in ("range-noise", "dropped-rays", "scan-rate", "latency", "speed", "footprint", "distance"):
+    for condition in ("range-noise", "dropped-rays", "scan-rate", "latency", "speed", "lag", "footprint", "distance"):
         own = [cell for cell in list_cells(config) if cell.condition == condition]
         assert sum(cell.scenario.robot == profile for cell in own) == 2, condition
 

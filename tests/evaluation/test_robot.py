@@ -28,6 +28,8 @@ def test_without_conditions_a_robot_is_its_profile(profile):
             "dropout": st.floats(0.0, 1.0),
             "latency": st.floats(0.0, 1.0),
             "speed_limit": st.floats(0.01, 2.0),
+            "acceleration": st.floats(0.1, 5.0),
+            "lag": st.floats(0.0, 0.5),
             "footprint": st.sampled_from(sorted(FOOTPRINTS)),
         },
     ),
@@ -39,7 +41,9 @@ def test_each_condition_replaces_its_own_value_and_no_other(profile, changes, di
     assert robot.lidar.scan.range_max == 2 * distance
     assert robot.lidar.dropout == changes.get("dropout", own.lidar.dropout)
     assert robot.latency == changes.get("latency", own.latency)
-    assert robot.drive == replace(own.drive, max_speed=changes.get("speed_limit", own.drive.max_speed))
+    limits = {"max_speed": "speed_limit", "max_acceleration": "acceleration", "lag": "lag"}
+    changed = {name: changes[option] for name, option in limits.items() if option in changes}
+    assert robot.drive == replace(own.drive, **changed)
     assert robot.footprint == (FOOTPRINTS[changes["footprint"]] if "footprint" in changes else own.footprint)
     if "range_noise" not in changes:
         assert robot.lidar.noise == own.lidar.noise
@@ -66,6 +70,8 @@ def test_commands_keep_step_with_the_scans_where_they_did():
         ({"scan_rate": 0.0}, "scan_rate is 0.0 Hz"),
         ({"latency": float("inf")}, "latency is inf s"),
         ({"speed_limit": 0.0}, "speed_limit is 0.0 m/s"),
+        ({"acceleration": 0.0}, r"acceleration is 0.0 m/s\^2"),
+        ({"lag": -0.1}, "lag is -0.1 s"),
         ({"distance": 4.5}, "at most 4 m, because a robot uses 2 d"),
     ],
 )
@@ -97,5 +103,5 @@ def test_results_record_the_robot_as_it_was_run(tmp_path, console):
     assert recorded["lidar"]["scan"]["range_max"] == 1.6
     assert {name: written[name] for name in asdict(Conditions())} == {
         "range_noise": 0.01, "dropout": None, "scan_rate": 20.0, "latency": None, "speed_limit": None,
-        "footprint": "circle-15",
+        "acceleration": None, "lag": None, "footprint": "circle-15",
     }  # fmt: skip

@@ -28,6 +28,8 @@ _NOTES: dict[Condition, str] = {
     "scan-rate": "Scans per second, and commands too where the profile keeps both in step.",
     "latency": "Time from a finished scan until a command can use it; commands come once per control period.",
     "speed": "The largest speed of the base; what a controller asks beyond it is shortened.",
+    "acceleration": "The ideal profile has no limit of its own.",
+    "lag": "Time constant with which the base's velocity follows the command.",
     "team-size": "Teams of more than 13 robots get three times the duration. A team of two can never be strict.",
     "distance": "A robot sees as far as 2 d*, and starts grow with d*.",
 }

@@ -18,8 +18,8 @@ from triform.simulation import ARENAS
 from triform.types import require
 
 Condition = Literal[
-    "range-noise", "dropped-rays", "scan-rate", "latency", "speed", "footprint", "arena", "team-size", "distance",
-    "incident",
+    "range-noise", "dropped-rays", "scan-rate", "latency", "speed", "acceleration", "lag", "footprint", "arena",
+    "team-size", "distance", "incident",
 ]  # fmt: skip
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 
@@ -61,6 +61,8 @@ SWEEPS: dict[Condition, Sweep] = {
     "scan-rate": Sweep("scan rate", "Hz", "scan_rate", _numbers(2, 5, 10, 20, 50)),
     "latency": Sweep("latency", "s", "latency", _numbers(0, 0.05, 0.1, 0.2, 0.3, 0.5)),
     "speed": Sweep("largest speed", "m/s", "speed_limit", _numbers(0.05, 0.1, 0.2, 0.5, 1)),
+    "acceleration": Sweep("largest acceleration", "m/s²", "acceleration", _numbers(0.5, 1, 2, 4)),
+    "lag": Sweep("lag of the base", "s", "lag", _numbers(0, 0.05, 0.1, 0.2, 0.3)),
     "footprint": Sweep("footprint", "", "footprint", {name: name for name in FOOTPRINTS}),
     "arena": Sweep("arena", "", "arena", {name: name for name in ARENAS}),
     "team-size": Sweep("robots", "", "robots", {str(size): size for size in (2, 3, 4, 5, 7, 9, 13, 25, 50, 100)}),

@@ -47,6 +47,8 @@ class Conditions:
             one, also takes this many commands per second; the hardware profile keeps its own control period.
         latency: Time from a finished scan until a command can use it [s].
         speed_limit: Largest translational speed of the base [m/s]; limits of single axes stay.
+        acceleration: Largest translational acceleration of the base [m/s^2].
+        lag: Time constant of the base's first-order lag [s].
         footprint: Name of the robots' outline, one of ``FOOTPRINTS``.
     """
 
@@ -55,6 +57,8 @@ class Conditions:
     scan_rate: float | None = None
     latency: float | None = None
     speed_limit: float | None = None
+    acceleration: float | None = None
+    lag: float | None = None
     footprint: str | None = None
 
     def __post_init__(self) -> None:
@@ -65,6 +69,9 @@ class Conditions:
         require(rate is None or 0 < rate < np.inf, f"scan_rate is {rate} Hz; it must be positive and finite")
         require(latency is None or 0 <= latency < np.inf, f"latency is {latency} s; it must be finite and not negative")
         require(speed is None or 0 < speed < np.inf, f"speed_limit is {speed} m/s; it must be positive and finite")
+        acceleration, lag = self.acceleration, self.lag
+        require(acceleration is None or acceleration > 0, f"acceleration is {acceleration} m/s^2; it must be positive")
+        require(lag is None or 0 <= lag < np.inf, f"lag is {lag} s; it must be finite and not negative")
 
     def applied_to(self, profile: Profile, distance: float) -> Profile:
         """Return ``profile`` under these conditions, seeing as far as the prescribed ``distance`` d* needs: 2 d* [m].
@@ -75,6 +82,10 @@ class Conditions:
         drive, footprint, latency = profile.drive, profile.footprint, profile.latency
         if self.speed_limit is not None:
             drive = replace(drive, max_speed=self.speed_limit)
+        if self.acceleration is not None:
+            drive = replace(drive, max_acceleration=self.acceleration)
+        if self.lag is not None:
+            drive = replace(drive, lag=self.lag)
         if self.footprint is not None:
             footprint = get_footprint(self.footprint)
         if self.latency is not None:

@@ -17,7 +17,7 @@ from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.robot import LIDAR_REACH, Conditions
 from triform.evaluation.rollout import Trajectory, rollout
-from triform.simulation import Arena, Profile, SimulatedTeam, World, get_arena, get_profile, starts
+from triform.simulation import Arena, Drive, Profile, SimulatedTeam, World, get_arena, get_profile, starts
 from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, PrivilegedView, require
 
 #: Robots of one chunk of runs: enough that the fixed cost of a step is small, few enough that the last chunks of an
@@ -53,6 +53,8 @@ class Scenario:
             omitted.
         latency: Time from a finished scan until a command can use it [s]; the profile's if omitted.
         speed_limit: Largest speed of the base [m/s]; the profile's if omitted.
+        acceleration: Largest acceleration of the base [m/s^2]; the profile's if omitted.
+        lag: Time constant of the base's lag [s]; the profile's if omitted.
         footprint: Name of the robots' outline: ep, engineer, circle-5, circle-10, circle-15, circle-20 or box-30; the
             profile's if omitted.
         odometry: Whether robots know from their wheels how far they have come since their scans.
@@ -73,6 +75,8 @@ class Scenario:
     scan_rate: float | None = None
     latency: float | None = None
     speed_limit: float | None = None
+    acceleration: float | None = None
+    lag: float | None = None
     footprint: str | None = None
     odometry: bool = True
     guard: bool = True
@@ -109,6 +113,15 @@ class Scenario:
         return robot if self.odometry else replace(robot, odometry=False)
 
     @property
+    def base(self) -> Drive:
+        """What the robots' base can do; Gazebo's robots cannot accelerate at will."""
+        if self.team == "world":
+            return self.robot.drive
+        from triform.robots.gazebo import braked
+
+        return braked(self.robot.drive)
+
+    @property
     def surroundings(self) -> Arena:
         """The arena."""
         return get_arena(self.arena)
@@ -127,9 +140,11 @@ class Scenario:
         controller = self.make_unguarded()
         if not self.guard:
             return controller
-        robot = self.robot
-        drive, lidar = robot.drive, robot.lidar
-        reaction = reaction_time(robot.control_period, lidar.period, robot.latency, lidar.rolling, drive.lag)
+        robot, drive, lidar = self.robot, self.base, self.robot.lidar
+        # A limit of acceleration counts as the lag with which a robot at full speed brakes on the same way.
+        fastest = min(drive.max_speed, drive.max_axis_speed)
+        lag = drive.lag + fastest / (2 * drive.max_acceleration)
+        reaction = reaction_time(robot.control_period, lidar.period, robot.latency, lidar.rolling, lag)
         limits = {"max_speed": drive.max_speed, "max_axis_speed": drive.max_axis_speed}
         return Guarded(controller, Guard(robot.footprint.size, reaction=reaction, **limits))
 

@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 from triform.robots.gazebo.installation import Installation, find_gazebo
-from triform.robots.gazebo.sdf import Base, write_world
+from triform.robots.gazebo.sdf import Base, braked, write_world
 from triform.robots.gazebo.server import GazeboError, GazeboServer, State
 from triform.robots.gazebo.team import GazeboTeam
 
-__all__ = ["Base", "GazeboError", "GazeboServer", "GazeboTeam", "Installation", "State", "find_gazebo", "write_world"]
+__all__ = [
+    "Base",
+    "GazeboError",
+    "GazeboServer",
+    "GazeboTeam",
+    "Installation",
+    "State",
+    "braked",
+    "find_gazebo",
+    "write_world",
+]
