@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -136,18 +135,17 @@ def run_changes(
     indices = range(runs.first, runs.first + runs.count)
     poses = config.draw_starts(config.robots, runs.count, config.seed, first=runs.first)
     draws = world_seeds(config.robots, config.seed, indices, _CHANGE_STREAM)
-    spare = 1 if runs.change == "addition" else 0
-    parts = []
-    for some, team in config.open_teams(poses, world_seeds(config.robots, config.seed, indices, _WORLD_STREAM), spare):
-        step = None if on_step is None else partial(on_step, poses[some, :, 0].size)
+
+    def act(some: slice, team: SimulatedTeam, step: Callable[[], None] | None) -> tuple[Trajectory, RunTable]:
         before = rollout(team, controller, config.change_time, step)
         changed = change_teams(team, runs.change, draws[some], config.distance)
         after = rollout(team, controller, config.duration - config.change_time, step)
         table = _measure_change(config, before, after, team) | {"changed_robot": changed}
-        parts.append((before.then(after), table))
-    trajectories, tables = zip(*parts, strict=True)
-    order = {"run": np.array(indices), "change": np.array([runs.change] * runs.count)}
-    return Trajectory.side_by_side(trajectories), concatenate(tables) | order
+        return before.then(after), table
+
+    seeds = world_seeds(config.robots, config.seed, indices, _WORLD_STREAM)
+    trajectory, table = config.run_teams(poses, seeds, act, on_step, spare=1 if runs.change == "addition" else 0)
+    return trajectory, table | {"run": np.array(indices), "change": np.array([runs.change] * runs.count)}
 
 
 def measure_changes(

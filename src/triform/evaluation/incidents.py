@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from triform.evaluation.dynamic import change_teams
-from triform.evaluation.metrics import RunTable, concatenate
+from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.scenario import Scenario, world_seeds
 from triform.simulation import SimulatedTeam
@@ -92,12 +91,11 @@ def run_incident(
     """
     robots = poses.shape[1]
     draws = world_seeds(robots, seed, indices, _INCIDENT_STREAM)
-    parts = []
-    for runs, team in scenario.open_teams(poses, world_seeds(robots, seed, indices, _WORLD_STREAM)):
-        step = None if on_step is None else partial(on_step, poses[runs, :, 0].size)
-        parts.append(_run_incident(scenario, incident, team, draws[runs], moment, controller, step))
-    trajectories, tables = zip(*parts, strict=True)
-    return Trajectory.side_by_side(trajectories), concatenate(tables)
+
+    def act(runs: slice, team: SimulatedTeam, step: Callable[[], None] | None) -> tuple[Trajectory, RunTable]:
+        return _run_incident(scenario, incident, team, draws[runs], moment, controller, step)
+
+    return scenario.run_teams(poses, world_seeds(robots, seed, indices, _WORLD_STREAM), act, on_step)
 
 
 def _run_incident(

@@ -17,6 +17,7 @@ from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.robot import LIDAR_REACH, Conditions
 from triform.evaluation.rollout import Trajectory, rollout
+from triform.robots.gazebo import Base, GazeboServer, GazeboTeam, braked
 from triform.simulation import Arena, Drive, Profile, SimulatedTeam, World, get_arena, get_profile, starts
 from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, PrivilegedView, require
 
@@ -24,9 +25,9 @@ from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, Priv
 #: evaluation keep every processor busy. The same on every machine, so that no result can depend on it.
 ROBOTS_PER_CHUNK = 256
 
+#: Drives and measures some of many runs, see ``Scenario.run_teams``.
+Act = Callable[[slice, SimulatedTeam, Callable[[], None] | None], tuple[Trajectory, RunTable]]
 TeamName = Literal["world", "gazebo"]
-#: How Gazebo's robots move.
-Base = Literal["planar", "mecanum"]
 #: Step of Gazebo's physics for each of them [s].
 GAZEBO_STEPS: dict[Base, float] = {"planar": 0.01, "mecanum": 0.001}
 
@@ -117,8 +118,6 @@ class Scenario:
         """What the robots' base can do; Gazebo's robots cannot accelerate at will."""
         if self.team == "world":
             return self.robot.drive
-        from triform.robots.gazebo import braked
-
         return braked(self.robot.drive)
 
     @property
@@ -180,8 +179,6 @@ class Scenario:
         if self.team == "world":
             yield slice(0, len(poses)), self.make_world(poses, seeds)
             return
-        from triform.robots.gazebo import GazeboServer, GazeboTeam
-
         self.check_starts(poses)
         settings: dict[str, Any] = {"drive": self.drive, "time_step": GAZEBO_STEPS[self.drive], "spare": spare}
         with GazeboServer(self.robot, self.surroundings, poses.shape[1], **settings) as server:
@@ -245,11 +242,41 @@ class Scenario:
             TriformError: As ``open_teams``.
         """
         driver = controller or self.make_controller()
-        parts = []
-        for runs, team in self.open_teams(poses, seeds):
-            step = None if on_step is None else partial(on_step, poses[runs, :, 0].size)
+
+        def act(_: slice, team: SimulatedTeam, step: Callable[[], None] | None) -> tuple[Trajectory, RunTable]:
             trajectory = rollout(team, driver, self.duration, step)
-            parts.append((trajectory, self.measure(trajectory, team)))
+            return trajectory, self.measure(trajectory, team)
+
+        return self.run_teams(poses, seeds, act, on_step)
+
+    def run_teams(
+        self,
+        poses: FloatArray,
+        seeds: list[np.random.SeedSequence],
+        act: Act,
+        on_step: Callable[[float], None] | None = None,
+        spare: int = 0,
+    ) -> tuple[Trajectory, RunTable]:
+        """Do something with B worlds, and put together what happened.
+
+        Args:
+            poses: Starts, shape (B, N, 3).
+            seeds: One for the noise of every world.
+            act: Drives and measures some of the worlds; called with which of the B runs they are, their team, and what
+                is to be called once per control period.
+            on_step: Called with the number of control periods times robots that were just done, for progress.
+            spare: How many robots may be added to every world.
+
+        Returns:
+            What happened, and one row of measures per run.
+
+        Raises:
+            TriformError: As ``open_teams``.
+        """
+        parts = []
+        for runs, team in self.open_teams(poses, seeds, spare):
+            step = None if on_step is None else partial(on_step, poses[runs, :, 0].size)
+            parts.append(act(runs, team, step))
         trajectories, tables = zip(*parts, strict=True)
         return Trajectory.side_by_side(trajectories), concatenate(tables)
 

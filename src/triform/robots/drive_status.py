@@ -56,8 +56,7 @@ class Budget:
             self.blind_steps += 1
             return
         self._count_turn(step.turn)
-        parts = {"sense": step.seen - step.turn.ended, "send": step.sent - step.decided}
-        parts["total"] = step.sent - step.turn.ended
+        parts = {"sense": step.scan_age, "send": step.sent - step.decided, "total": step.latency}
         thought_since = step.seen
         if step.seen <= self._mapped <= step.decided:
             parts["map"] = self._mapped - step.seen
@@ -168,12 +167,12 @@ class StatusLine:
         if step.turn is None:
             sight = "no scan yet"
         elif step.blind:
-            sight = f"no fresh scan for {step.seen - step.turn.ended:.1f} s"
+            sight = f"no fresh scan for {step.scan_age:.1f} s"
         else:
             neighbours = int(detect_robots(step.view.scans, self._footprint)[1].sum())
             sight = (
-                f"scan {1000 * (step.seen - step.turn.ended):.0f} ms old, on the wheels after "
-                f"{1000 * (step.sent - step.turn.ended):.0f} ms, neighbours {neighbours}"
+                f"scan {1000 * step.scan_age:.0f} ms old, on the wheels after "
+                f"{1000 * step.latency:.0f} ms, neighbours {neighbours}"
             )
         return Text(
             f"{step.view.time:.1f} s, {rate:.1f} Hz, {sight}, {self._verb} {forward:+.2f} {left:+.2f} m/s "

@@ -7,6 +7,7 @@ from collections import deque
 
 import numpy as np
 
+from triform.geometry import wrap_angle
 from triform.types import FloatArray
 
 #: How far past the newest numbers a track is followed [s].
@@ -45,8 +46,7 @@ class Track:
     def add_angle(self, moment: float, values: FloatArray) -> None:
         """As ``add``, for numbers of which the last is an angle [rad]; it goes on past half a turn."""
         if self.newest is not None:
-            turn = values[-1] - self.newest[-1]
-            values = np.append(values[:-1], self.newest[-1] + wrapped(turn))
+            values = np.append(values[:-1], self.newest[-1] + wrap_angle(values[-1] - self.newest[-1]))
         self.add(moment, values)
 
     def at(self, moment: float) -> FloatArray | None:
@@ -79,9 +79,4 @@ class PoseHistory:
         """Pose at a moment [s], shape (3,), heading in [-pi, pi); ``None`` if it is not known."""
         with self._lock:
             pose = self._track.at(moment)
-        return None if pose is None else np.append(pose[:2], wrapped(pose[2]))
-
-
-def wrapped(angle: float) -> float:
-    """The same angle in [-pi, pi) [rad]."""
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+        return None if pose is None else np.append(pose[:2], wrap_angle(pose[2]))

@@ -106,6 +106,16 @@ class Step:
     blind: bool
     late: bool
 
+    @property
+    def scan_age(self) -> float:
+        """Time from the end of the scan until it was used [s]; ``NaN`` before the first one."""
+        return math.nan if self.turn is None else self.seen - self.turn.ended
+
+    @property
+    def latency(self) -> float:
+        """Time from the end of the scan until the base had the command [s]; ``NaN`` before the first scan."""
+        return math.nan if self.turn is None else self.sent - self.turn.ended
+
 
 class RealRobot:
     """A LiDAR and a base: a ``Team[View]`` of one robot, B = N = 1.

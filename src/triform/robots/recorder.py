@@ -121,15 +121,13 @@ class Recorder:
     def add(self, step: Step) -> None:
         """Write a step, and its scan if it is a new one."""
         turn = step.turn
-        age = latency = np.nan
-        if turn is not None:
-            age, latency = step.seen - turn.ended, step.sent - turn.ended
-            if turn is not self._turn:
-                self._scans.write([turn.started + self._epoch, turn.ended + self._epoch, *turn.ranges], 4)
-                self._turn = turn
+        if turn is not None and turn is not self._turn:
+            self._scans.write([turn.started + self._epoch, turn.ended + self._epoch, *turn.ranges], 4)
+            self._turn = turn
         pose = self._placed(step.pose)
         flags = int(not step.blind), int(step.late)
-        self._steps.write([step.sent + self._epoch, self._robot, *pose, *step.command, age, latency, *flags])
+        times = step.scan_age, step.latency
+        self._steps.write([step.sent + self._epoch, self._robot, *pose, *step.command, *times, *flags])
 
     def finish(self, facts: dict[str, Any]) -> None:
         """End the recording and write ``drive.json``: ``facts`` and the versions that were used."""

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from triform.geometry import wrap_angle
 from triform.simulation.kinematics import integrate
 from triform.simulation.profiles import Drive
 from triform.types import BoolArray, FloatArray
@@ -24,8 +25,7 @@ def relative_poses(poses: FloatArray, origin: FloatArray, active: BoolArray) -> 
     """
     d_x, d_y, turned = np.moveaxis(poses - origin, -1, 0)
     cos, sin = np.cos(origin[..., 2]), np.sin(origin[..., 2])
-    turned = (turned + np.pi) % (2 * np.pi) - np.pi
-    relative = np.stack([cos * d_x + sin * d_y, cos * d_y - sin * d_x, turned], axis=-1)
+    relative = np.stack([cos * d_x + sin * d_y, cos * d_y - sin * d_x, wrap_angle(turned)], axis=-1)
     return np.where(active[..., None], relative, 0.0)
 
 

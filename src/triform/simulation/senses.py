@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -13,12 +14,12 @@ from triform.simulation.lidar import angle_offsets, apply_noise
 from triform.simulation.odometry import halfway, relative_poses, resting_poses
 from triform.simulation.profiles import Profile
 from triform.simulation.pushes import push_keys, push_size, random_pushes
-from triform.types import BoolArray, FloatArray, IntArray, PrivilegedView, RangeArray, Scan, require
+from triform.types import BoolArray, FloatArray, IntArray, PrivilegedView, RangeArray, Scan, TriformError, require
 
 Floating = TypeVar("Floating", bound=np.floating[Any])
 
 #: Moments closer than this are the same moment [s].
-SAME_TIME = 1e-9
+_SAME_TIME = 1e-9
 
 
 class Senses:
@@ -73,10 +74,26 @@ class Senses:
         self._turn_start: FloatArray
         self._begin_turn(poses, active)
 
-    @property
-    def turn_end(self) -> float:
-        """When the running turn ends [s]."""
-        return (self._turn + 1) * self._profile.lidar.period
+    def stretches(self, time: float, duration: float) -> Iterator[tuple[float, bool]]:
+        """Cut a while at the ends of LiDAR turns; whoever moves the robots ends a turn before asking for the next cut.
+
+        Args:
+            time: Present time [s].
+            duration: How long commands are held [s].
+
+        Yields:
+            The end of a stretch [s], and whether it ends the running turn.
+
+        Raises:
+            TriformError: The duration is not positive and finite.
+        """
+        if not 0 < duration < math.inf:
+            raise TriformError(f"commands cannot be held for {duration} s; the time must be positive and finite")
+        end = time + duration
+        while end - time > _SAME_TIME:
+            turn_end = (self._turn + 1) * self._profile.lidar.period
+            time = turn_end if turn_end < end - _SAME_TIME else end
+            yield time, turn_end <= time + _SAME_TIME
 
     def rays_due(self, time: float, steps: int, step: float, turn_ends: bool) -> IntArray:
         """Tell which rays of the running turn a rolling LiDAR measures while time advances in equal steps.
@@ -149,7 +166,7 @@ class Senses:
             velocities: Body twists, shape (B, N, 3), which wheels know too.
             active: Which robots exist, shape (B, N).
         """
-        ready = time - self._profile.latency + SAME_TIME
+        ready = time - self._profile.latency + _SAME_TIME
         while self._finished and self._finished[0][0] <= ready:
             _, self._newest, self._shown = self._finished.popleft()
         moved = None

@@ -13,7 +13,7 @@ from triform.simulation.arena import Arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
 from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, scan_rays
 from triform.simulation.profiles import Profile
-from triform.simulation.senses import SAME_TIME, Senses, padded
+from triform.simulation.senses import Senses, padded
 from triform.threads import in_parts
 from triform.types import (
     BoolArray,
@@ -158,13 +158,8 @@ class World:
             TriformError: If the shape does not fit, a command is not finite, or the duration is not positive.
         """
         targets = limit_twists(self._checked(commands), self._profile.drive)
-        if not 0 < duration < math.inf:
-            raise TriformError(f"commands cannot be held for {duration} s; the time must be positive and finite")
         end = self._time + duration
-        while end - self._time > SAME_TIME:
-            turn_end = self._senses.turn_end
-            stop = turn_end if turn_end < end - SAME_TIME else end
-            turn_ends = turn_end <= stop + SAME_TIME
+        for stop, turn_ends in self._senses.stretches(self._time, duration):
             self._advance(targets, stop - self._time, turn_ends)
             self._time = stop
             if turn_ends:

@@ -12,7 +12,7 @@ from triform.robots.gazebo.sdf import braked
 from triform.robots.gazebo.server import GazeboServer, State
 from triform.simulation.arena import Arena
 from triform.simulation.profiles import Profile
-from triform.simulation.senses import SAME_TIME, Senses
+from triform.simulation.senses import Senses
 from triform.types import BoolArray, FloatArray, PrivilegedView, TriformError, require
 
 
@@ -125,15 +125,10 @@ class GazeboTeam:
         values = np.asarray(commands, dtype=np.float64)
         if values.shape != (1, self._robots, 3):
             raise TriformError(f"commands of shape {values.shape} given; {(1, self._robots, 3)} is needed")
-        if not 0 < duration < math.inf:
-            raise TriformError(f"commands cannot be held for {duration} s; the time must be positive and finite")
         targets = np.zeros((len(self._state.active), 3))
         targets[: self._robots] = values[0]
         end = self._time + duration
-        while end - self._time > SAME_TIME:
-            turn_end = self._senses.turn_end
-            stop = turn_end if turn_end < end - SAME_TIME else end
-            turn_ends = turn_end <= stop + SAME_TIME
+        for stop, turn_ends in self._senses.stretches(self._time, duration):
             self._advance(targets, stop, turn_ends)
             self._time = stop
             if turn_ends:

@@ -11,12 +11,11 @@ from types import TracebackType
 import numpy as np
 
 from triform.robots.ldrobot.models import LidarModel
-from triform.robots.ldrobot.packets import CLOCK_WRAP, PACKET, SAMPLES, encode_packets
+from triform.robots.ldrobot.packets import CLOCK_WRAP, FULL_TURN, PACKET, SAMPLES, encode_packets, sample_angles
 from triform.types import FloatArray, RangeArray, TriformError, require
 
 #: Standard deviation of the speed around the usual one, as a share, and how much of it lasts until the next packet.
 _SPEED_SPREAD, _SPEED_MEMORY = 0.005, 0.99
-_FULL_TURN = 36000
 
 
 class LidarEmulator:
@@ -61,7 +60,7 @@ class LidarEmulator:
         self._issued = 0
         self._boot = float(rng.uniform(0, CLOCK_WRAP))
         self._deviation = 0.0
-        self._angle = float(rng.uniform(0, _FULL_TURN))
+        self._angle = float(rng.uniform(0, FULL_TURN))
         # Packets whose directions are known; the first sample of the first is number _sent of all.
         self._packets = np.zeros(0, dtype=PACKET)
         self._sent = 0
@@ -98,11 +97,9 @@ class LidarEmulator:
         self._began = until if self._began is None else self._began
         done = max(self._issued, int((until - self._began) * self._model.samples_per_second))
         self._turn_on(math.ceil((done - self._sent) / SAMPLES) - len(self._packets))
-        starts = self._packets["start_angle"].astype(np.int64)
-        steps = (self._packets["end_angle"] - starts) % _FULL_TURN / (SAMPLES - 1)
-        angles = (starts[:, None] + steps[:, None] * np.arange(SAMPLES)).ravel()
+        angles = sample_angles(self._packets)
         first, self._issued = self._issued, done
-        return self._mounting - np.radians(angles[first - self._sent : done - self._sent] / 100)
+        return self._mounting - np.radians(angles[first - self._sent : done - self._sent])
 
     def _turn_on(self, count: int) -> None:
         """Make the next ``count`` packets, without their samples."""
@@ -116,9 +113,9 @@ class LidarEmulator:
             speed = usual * (1 + self._deviation)
             step = 100 * speed / self._model.samples_per_second
             packet["speed"] = round(speed)
-            packet["start_angle"] = int(self._angle) % _FULL_TURN
-            packet["end_angle"] = int(self._angle + (SAMPLES - 1) * step) % _FULL_TURN
-            self._angle = (self._angle + SAMPLES * step) % _FULL_TURN
+            packet["start_angle"] = int(self._angle) % FULL_TURN
+            packet["end_angle"] = int(self._angle + (SAMPLES - 1) * step) % FULL_TURN
+            self._angle = (self._angle + SAMPLES * step) % FULL_TURN
         lasts = self._sent + SAMPLES * (len(self._packets) + 1 + np.arange(count))
         more["timestamp"] = (self._boot + 1000 * lasts / self._model.samples_per_second) % CLOCK_WRAP
         self._packets = np.concatenate([self._packets, more])

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from triform.types import FloatArray
+
 #: Speed of the serial line [baud]; ten bits carry a byte (8N1).
 BAUD = 230400
 #: Bytes per second that the line carries.
@@ -39,6 +41,8 @@ PACKET = np.dtype(
     ]
 )
 PACKET_BYTES = PACKET.itemsize
+#: A full turn in the packets' angles.
+FULL_TURN = 36000
 #: Arrays of ``PACKET``, shape (K,).
 Packets = NDArray[np.void]
 
@@ -119,6 +123,13 @@ class PacketParser:
         self.skipped += done - found * PACKET_BYTES
         rows = stream[starts[:found, None] + np.arange(PACKET_BYTES)]
         return np.asarray(rows.view(PACKET)[:, 0])
+
+
+def sample_angles(packets: Packets) -> FloatArray:
+    """Directions of all samples of packets, shape (K,), on the LiDAR's own clockwise circle [deg], shape (12 K,)."""
+    starts = packets["start_angle"].astype(np.int64)
+    steps = (packets["end_angle"] - starts) % FULL_TURN / (SAMPLES - 1)
+    return np.asarray((starts[:, None] + steps[:, None] * np.arange(SAMPLES)).ravel() / 100)
 
 
 def encode_packets(packets: Packets) -> bytes:

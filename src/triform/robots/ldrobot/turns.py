@@ -26,7 +26,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from triform.robots.ldrobot.models import LidarModel
-from triform.robots.ldrobot.packets import CLOCK_WRAP, LINE_RATE, PACKET_BYTES, SAMPLES, Packets
+from triform.robots.ldrobot.packets import CLOCK_WRAP, LINE_RATE, PACKET_BYTES, SAMPLES, Packets, sample_angles
 from triform.types import FloatArray, IntArray, RangeArray, ScanConfig, require
 
 #: How far a ray looks for its sample [spacings of rays or of samples, whichever is wider]. Half a spacing is the least
@@ -40,7 +40,6 @@ LONGEST_GAP = 1.0
 DRIFT = 5e-4
 #: Time from the last sample of a packet to its arrival, if nothing holds it up [s].
 _WIRE_TIME = PACKET_BYTES / LINE_RATE
-_CENTIDEGREES = 36000
 
 
 @dataclass(frozen=True)
@@ -146,10 +145,7 @@ class TurnAssembler:
     def _sweep(self, packets: Packets, clock: FloatArray) -> list[Turn]:
         """Enter samples, turn by turn."""
         rays = self.scan.rays
-        starts = packets["start_angle"].astype(np.int64)
-        steps = (packets["end_angle"] - starts) % _CENTIDEGREES / (SAMPLES - 1)
-        degrees = (starts[:, None] + steps[:, None] * np.arange(SAMPLES)).ravel() / 100
-        places = (degrees * self._rays_per_degree + self._zero) % rays
+        places = (sample_angles(packets) * self._rays_per_degree + self._zero) % rays
         times = (clock[:, None] - self._lags).ravel()
         ranges = self._measured(packets["samples"]["distance"].ravel())
 

@@ -8,7 +8,8 @@ import time
 
 import numpy as np
 
-from triform.robots.odometry import Track, wrapped
+from triform.geometry import wrap_angle
+from triform.robots.odometry import Track
 from triform.robots.robomaster.protocol import RoboMasterError, read_pushed
 from triform.types import FloatArray
 
@@ -53,7 +54,7 @@ class Telemetry:
             position, heading = self._tracks["position"].at(moment), self._tracks["attitude"].at(moment)
         if position is None or heading is None:
             return None
-        return np.append(position, wrapped(heading[0]))
+        return np.append(position, wrap_angle(heading))
 
     def close(self) -> None:
         """Listen no more."""
