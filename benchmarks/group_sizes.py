@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from triform.perception import occupancy_maps
-from triform.simulation import ROBOMASTER_EP, Arena, cast_scans, starts
+from triform.simulation import ROBOMASTER_EP, Arena, cast_scans, sample_starts
 from triform.types import FloatArray, MapConfig, Scan, ScanConfig
 
 SCAN = ScanConfig()
@@ -54,7 +54,7 @@ def main() -> None:
     for count in (2, 3):
         print(row(f"{count} robots 0.42 m apart at 1 m", sizes(scan_of(robots_at(rng, 1.0, 0.42, count)))))
     for robots in (7, 13):
-        poses = starts(robots, 300, seed=0)
+        poses = sample_starts(robots, 300, seed=0)
         ranges = cast_scans(poses, np.ones(poses.shape[:2], dtype=bool), ROBOMASTER_EP, Arena.open(), SCAN)
         print(row(f"starts of {robots} robots, occlusions included", sizes(ranges)))
     for distance in (0.3, 1.0, 1.5, 1.7, 1.8, 1.9):

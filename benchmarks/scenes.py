@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.settings import Settings
 from triform.control import drive, make_controller
-from triform.simulation import World, get_profile, starts
+from triform.simulation import World, get_profile, sample_starts
 from triform.types import FloatArray, PrivilegedView, Scan
 
 SEED = 0
@@ -18,7 +18,7 @@ _DENSITY = 13 / 25
 
 def start_poses(robots: int, worlds: int) -> FloatArray:
     """The protocol's starts, shape (worlds, robots, 3) [m, m, rad]."""
-    return starts(robots, worlds, SEED)
+    return sample_starts(robots, worlds, SEED)
 
 
 def closed_loop_scans(robots: int, settings: Settings) -> Scan:

@@ -11,7 +11,7 @@ import numpy as np
 
 from triform.evaluation.scenario import Scenario, world_seeds
 from triform.geometry import gabriel_graph
-from triform.simulation import starts
+from triform.simulation import sample_starts
 from triform.types import BoolArray, FloatArray
 
 ROBOTS, RUNS, SEED = 13, 100, 7
@@ -41,7 +41,7 @@ def has_misfit(graph: BoolArray, positions: FloatArray) -> bool:
 def main() -> None:
     """Print the table."""
     scenario = Scenario(controller="policy", threads=1)
-    poses = starts(ROBOTS, RUNS, SEED)
+    poses = sample_starts(ROBOTS, RUNS, SEED)
     trajectory, table = scenario.run(poses, world_seeds(ROBOTS, SEED, range(RUNS)))
     errors = table["formation_error"]
     ends = trajectory.poses[:, -1, :, :2]

@@ -48,32 +48,32 @@ def _export() -> tuple[Any, Callable[..., Any]]:
 
 
 def _evaluate() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation.recorded import RecordedConfig, run_evaluate
+    from triform.recordings.measure import RecordedConfig, run_evaluate
 
     return RecordedConfig, run_evaluate
 
 
 def _dynamic() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation import DynamicConfig, run_dynamic
+    from triform.experiments.dynamic import DynamicConfig, run_dynamic
 
     return DynamicConfig, run_dynamic
 
 
 def _conditions() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation.conditions import ConditionsConfig
-    from triform.evaluation.sweep import run_conditions
+    from triform.experiments.conditions import ConditionsConfig
+    from triform.experiments.sweep import run_conditions
 
     return ConditionsConfig, run_conditions
 
 
 def _ablate() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation.ablation import CHOSEN, AblateConfig, run_ablate
+    from triform.experiments.ablation import CHOSEN, AblateConfig, run_ablate
 
     return _without(AblateConfig, CHOSEN), run_ablate
 
 
 def _compare() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation.compare import CHOSEN, CompareConfig, run_compare
+    from triform.experiments.compare import CHOSEN, CompareConfig, run_compare
 
     return _without(CompareConfig, CHOSEN), run_compare
 
@@ -91,7 +91,7 @@ def _without(options: type[Any], names: Sequence[str]) -> Any:
 
 
 def _reproduce() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation.reproduce import ReproduceConfig, What, reproduce
+    from triform.experiments.reproduce import ReproduceConfig, What, reproduce
 
     what = ("what", Annotated[What, tyro.conf.Positional], field(default="all"))
     options = make_dataclass("Reproduce", [what], bases=(ReproduceConfig,), frozen=True)
@@ -100,7 +100,7 @@ def _reproduce() -> tuple[Any, Callable[..., Any]]:
 
 
 def _demo() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation.demo import DemoConfig, run_demo
+    from triform.experiments.demo import DemoConfig, run_demo
 
     return DemoConfig, run_demo
 
@@ -112,7 +112,7 @@ def _drive() -> tuple[Any, Callable[..., Any]]:
 
 
 def _bench() -> tuple[Any, Callable[..., Any]]:
-    from triform.evaluation.robot_bench import BenchConfig, run_bench
+    from triform.timing.robot import BenchConfig, run_bench
 
     return BenchConfig, run_bench
 

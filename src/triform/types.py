@@ -28,8 +28,8 @@ MapArray = NDArray[np.uint8]
 
 #: Reach of the paper's LiDAR: how far one robot sees another [m], for a prescribed distance of 1 m.
 SENSING_RANGE = 2.0
-#: How long a robot holds a random push before it draws another [s].
-PUSH_PERIOD = 0.5
+#: How long a robot holds its exploration noise before it draws anew [s].
+NOISE_PERIOD = 0.5
 
 
 class TriformError(Exception):
@@ -144,10 +144,10 @@ class View:
         scans: The newest finished scan of every robot, ranges of shape (B, N, R).
         active: Which robots exist, shape (B, N); the others' scans are ``+inf`` throughout.
         time: Time since the start of the run [s].
-        push: Two standard normal numbers of every robot's own seeded generator, drawn anew every ``PUSH_PERIOD``, for
-            controllers that push robots at random, shape (B, N, 2); smaller in proportion for bases that are slower
+        noise: Two standard normal numbers of every robot's own seeded generator, drawn anew every ``NOISE_PERIOD``, for
+            controllers that noise robots at random, shape (B, N, 2); smaller in proportion for bases that are slower
             than the 0.5 m/s for which amplitudes are meant. ``None`` where the team has no such generator.
-        moved: Wheel odometry: the pose of every robot in its own body frame at the moment that its scan shows
+        odometry: Wheel odometry: the pose of every robot in its own body frame at the moment that its scan shows
             [m, m, rad], shape (B, N, 3); of where it would come to rest if told to stop now, which for a base that
             stops at once is where it is. ``None`` where the team has no odometry.
     """
@@ -155,8 +155,8 @@ class View:
     scans: Scan
     active: BoolArray
     time: float
-    push: FloatArray | None = field(default=None, kw_only=True)
-    moved: FloatArray | None = field(default=None, kw_only=True)
+    noise: FloatArray | None = field(default=None, kw_only=True)
+    odometry: FloatArray | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         if self.active.ndim != 2 or self.scans.ranges.shape[:-1] != self.active.shape:
@@ -164,7 +164,7 @@ class View:
                 f"a view has ranges of shape {self.scans.ranges.shape} and active of shape {self.active.shape}; "
                 "(B, N, R) and (B, N) are needed"
             )
-        for name, values, width in (("push", self.push, 2), ("moved", self.moved, 3)):
+        for name, values, width in (("noise", self.noise, 2), ("odometry", self.odometry, 3)):
             if values is not None and values.shape != (*self.active.shape, width):
                 raise ConfigurationError(
                     f"a view has {name} of shape {values.shape}; {(*self.active.shape, width)} is needed"

@@ -11,7 +11,7 @@ from triform.policy import CnnConfig, PolicyRuntime, PolicySpec, pack
 from triform.policy.cnn import ConvolutionalNetwork
 from triform.policy.export import export_policy
 from triform.policy.weights import save_policy
-from triform.simulation import World, get_profile, starts
+from triform.simulation import World, get_profile, sample_starts
 from triform.threads import limit_threads
 from triform.types import MapConfig, ScanConfig, View
 
@@ -21,7 +21,7 @@ def test_a_convolutional_network_drives_robots_from_their_scans_alone(tmp_path: 
     spec = PolicySpec(config, ScanConfig(), MapConfig())
     torch.manual_seed(0)
     save_policy(tmp_path, ConvolutionalNetwork(config), spec)
-    view = World(starts(7, 20, seed=2), get_profile("ideal")).observe()
+    view = World(sample_starts(7, 20, seed=2), get_profile("ideal")).observe()
     blind = View(view.scans, view.active, 0.0)
     maps = occupancy_maps(view.scans, MapConfig()).reshape(-1, 100, 100)
     export_policy(tmp_path, maps[:20])

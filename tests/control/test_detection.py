@@ -12,14 +12,14 @@ from shapely import Point, Polygon
 from shapely.affinity import rotate, translate
 from shapely.geometry import LineString, box
 
-from triform.control._footprint_fit import improve_pose
-from triform.control._footprint_geometry import mean_depth, mean_half_width, ray_interval, surface_residual
 from triform.control.detection import ROBOMASTER_EP_SIZE, detect_robots, most_robots
+from triform.control.footprint_fit import improve_pose
+from triform.control.footprint_geometry import mean_depth, mean_half_width, ray_interval, surface_residual
 from triform.geometry import gabriel_graph
 from triform.simulation.arena import Arena
 from triform.simulation.lidar import apply_noise, cast_scans
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint, LidarConfig, constant_noise
-from triform.simulation.spawning import starts
+from triform.simulation.spawning import sample_starts
 from triform.types import ConfigurationError, FloatArray, Scan, ScanConfig
 
 A, B = 0.160, 0.120
@@ -124,7 +124,7 @@ def test_centres_in_scenes_cast_by_shapely(seed):
 
 def scenes(robots: int, runs: int, sigma: float, footprint: Footprint = ROBOMASTER_EP, arena: Arena | None = None):
     """Random scenes: measured scans, true centres in each observer's frame, Gabriel neighbours within 1.9 m."""
-    placed = starts(robots, runs, seed=11)
+    placed = sample_starts(robots, runs, seed=11)
     active = np.ones(placed.shape[:2], bool)
     ranges = cast_scans(placed, active, footprint, arena or Arena.open(), CONFIG)
     lidar = LidarConfig(noise=constant_noise(sigma) if sigma else ())

@@ -14,7 +14,7 @@ from triform.policy import NetworkConfig, PackedMaps, PolicyRuntime, PolicySpec,
 from triform.policy.export import export_policy
 from triform.policy.vit import VisionTransformer
 from triform.policy.weights import save_policy
-from triform.simulation import IDEAL, Footprint, Profile, World, get_profile, starts
+from triform.simulation import IDEAL, Footprint, Profile, World, get_profile, sample_starts
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, FloatArray, MapConfig, Scan, ScanConfig, TriformError, View
 
@@ -59,9 +59,9 @@ class Answers:
         return self._answers.copy()
 
 
-def blank_view(robots: int, push: np.ndarray | None = None, reach: float = 2.0) -> View:
+def blank_view(robots: int, noise: np.ndarray | None = None, reach: float = 2.0) -> View:
     scans = Scan(np.full((1, robots, 450), np.inf), ScanConfig(range_max=reach))
-    return View(scans, np.ones((1, robots), dtype=bool), 0.0, push=None if push is None else push[None])
+    return View(scans, np.ones((1, robots), dtype=bool), 0.0, noise=None if noise is None else noise[None])
 
 
 def test_weights_are_shipped() -> None:
@@ -78,7 +78,7 @@ def test_weights_are_shipped() -> None:
 
 
 def test_every_robot_is_driven_by_its_own_scan_alone(policy: LearnedPolicy) -> None:
-    view = World(starts(6, 3, seed=1), get_profile("ideal")).observe()
+    view = World(sample_starts(6, 3, seed=1), get_profile("ideal")).observe()
     together = policy.command(view)
     assert together.shape == (3, 6, 3)
     for b in range(3):
@@ -86,13 +86,13 @@ def test_every_robot_is_driven_by_its_own_scan_alone(policy: LearnedPolicy) -> N
             here = (slice(b, b + 1), slice(n, n + 1))
             own = View(
                 Scan(view.scans.ranges[here], view.scans.config), view.active[here], 0.0,
-                push=view.push[here], moved=view.moved[here],
+                noise=view.noise[here], odometry=view.odometry[here],
             )  # fmt: skip
             np.testing.assert_array_equal(policy.command(own)[0, 0], together[b, n])
 
 
 def test_commands_are_the_same_with_any_number_of_threads(policy: LearnedPolicy) -> None:
-    view = World(starts(7, 90, seed=1), get_profile("ideal")).observe()
+    view = World(sample_starts(7, 90, seed=1), get_profile("ideal")).observe()
     with limit_threads(1):
         alone = policy.command(view)
     with limit_threads(3):
@@ -100,7 +100,7 @@ def test_commands_are_the_same_with_any_number_of_threads(policy: LearnedPolicy)
 
 
 def test_algorithm_2_is_scan_map_network(policy: LearnedPolicy) -> None:
-    view = replace(World(starts(5, 1, seed=2), get_profile("ideal")).observe(), push=None)
+    view = replace(World(sample_starts(5, 1, seed=2), get_profile("ideal")).observe(), noise=None)
     runtime = PolicyRuntime(shipped_weights()[policy.description["weights"]])
     maps = occupancy_maps(view.scans, runtime.spec.map)[0]
     answers = runtime.commands(pack(maps, runtime.spec.network.patch, runtime.spec.network.attention))[:, :3]
@@ -110,9 +110,9 @@ def test_algorithm_2_is_scan_map_network(policy: LearnedPolicy) -> None:
 
 def test_ranges_of_any_value_give_a_defined_command(policy: LearnedPolicy) -> None:
     """What is no range in (0, range_max] counts as no return."""
-    view = World(starts(5, 1, seed=4), get_profile("ideal")).observe()
+    view = World(sample_starts(5, 1, seed=4), get_profile("ideal")).observe()
     ranges = view.scans.ranges.copy()
-    expected = policy.command(replace(view, push=None, moved=None))
+    expected = policy.command(replace(view, noise=None, odometry=None))
     nothing = ~np.isfinite(ranges)
     for value in (np.nan, -np.inf, -1.0, 0.0, 2.5, np.inf):
         spoilt = np.where(nothing, value, ranges)
@@ -173,7 +173,7 @@ def test_other_settings_are_refused(policy: LearnedPolicy, small: PolicyRuntime)
 
 
 def test_of_a_longer_scan_the_range_of_the_training_is_used(policy: LearnedPolicy) -> None:
-    poses = starts(6, 2, seed=5)
+    poses = sample_starts(6, 2, seed=5)
     short, long = (
         World(poses, replace(IDEAL, lidar=replace(IDEAL.lidar, scan=ScanConfig(range_max=reach)))).observe()
         for reach in (2.0, 8.0)
@@ -186,17 +186,17 @@ def test_an_amplitude_pushes_by_as_much_as_the_robot_draws() -> None:
     amplitudes = np.array([-0.3, 0.0, 0.04, 0.05, 0.051, 0.4])
     mean = np.array([0.3, -0.2, 0.1])
     answers = np.concatenate([np.tile(mean, (6, 1)), amplitudes[:, None]], axis=1)
-    push = np.random.default_rng(1).standard_normal((6, 2))
+    noise = np.random.default_rng(1).standard_normal((6, 2))
     controller = LearnedPolicy(Answers(answers, least_push=0.05))
     wanted = np.tile(mean, (6, 1))
     np.testing.assert_array_equal(controller.command(blank_view(6))[0], wanted)
     for k in (4, 5):
-        wanted[k, :2] += amplitudes[k] * push[k]
-    np.testing.assert_allclose(controller.command(blank_view(6, push))[0], wanted, atol=1e-15)
-    # Without an amplitude there is no push, and an inactive robot gets none.
-    without = LearnedPolicy(Answers(answers[:, :3])).command(blank_view(6, push))[0]
+        wanted[k, :2] += amplitudes[k] * noise[k]
+    np.testing.assert_allclose(controller.command(blank_view(6, noise))[0], wanted, atol=1e-15)
+    # Without an amplitude there is no noise, and an inactive robot gets none.
+    without = LearnedPolicy(Answers(answers[:, :3])).command(blank_view(6, noise))[0]
     np.testing.assert_array_equal(without, answers[:, :3])
-    gone = replace(blank_view(7, np.vstack([push[:3], [[9, 9]], push[3:]])))
+    gone = replace(blank_view(7, np.vstack([noise[:3], [[9, 9]], noise[3:]])))
     gone = replace(gone, active=np.array([[True, True, True, False, True, True, True]]))
     np.testing.assert_allclose(controller.command(gone)[0], np.insert(wanted, 3, 0.0, axis=0), atol=1e-15)
 
@@ -208,10 +208,10 @@ def test_slow_commands_are_exact_rest() -> None:
         [0.0, 0.019, 0.5, 0.1],
         [0.1, 0.0, 0.5, 0.1],
     ]
-    push = np.array([[9.0, 9.0], [9.0, 9.0], [1.0, 0.0], [-1.0, 0.0]])
+    noise = np.array([[9.0, 9.0], [9.0, 9.0], [1.0, 0.0], [-1.0, 0.0]])
     for distance in (0.5, 1.0, 1.5):
         controller = LearnedPolicy(Answers(answers, rest_speed=0.02, least_push=0.05), distance)
-        commands = controller.command(blank_view(4, push, 3.0))[0]
+        commands = controller.command(blank_view(4, noise, 3.0))[0]
         assert not commands[[0, 3]].any()
         np.testing.assert_allclose(commands[1], [0.0, 0.021 * distance, 0.5])
         np.testing.assert_allclose(commands[2], [0.1 * distance, 0.019 * distance, 0.5])
@@ -221,7 +221,7 @@ def scaled(scale: float) -> tuple[Profile, np.ndarray]:
     """Robots, their LiDAR and where they stand, all lengths ``scale`` times as large."""
     scan = ScanConfig(range_min=0.02 * scale, range_max=2.0 * scale)
     profile = replace(IDEAL, footprint=Footprint.box(0.32 * scale, 0.24 * scale), lidar=replace(IDEAL.lidar, scan=scan))
-    return profile, starts(7, 4, seed=8) * [scale, scale, 1.0]
+    return profile, sample_starts(7, 4, seed=8) * [scale, scale, 1.0]
 
 
 @pytest.mark.parametrize("scale", [0.5, 0.8, 1.25])
@@ -234,7 +234,7 @@ def test_all_lengths_scale_with_the_distance(small: PolicyRuntime, scale: float)
         for _ in range(4):
             world.apply(np.full((4, 7, 3), [0.2 * each, -0.1 * each, 0.3]), 0.1)
         views.append(world.observe())
-    assert views[0].moved.any(axis=2).all()
+    assert views[0].odometry.any(axis=2).all()
     usual, other = LearnedPolicy(small).command(views[0]), LearnedPolicy(small, scale).command(views[1])
     assert np.std(usual, axis=(0, 1)).min() > 1e-3
     if scale == 0.5:
@@ -248,19 +248,19 @@ def test_all_lengths_scale_with_the_distance(small: PolicyRuntime, scale: float)
 
 def test_odometry_and_scans_make_the_map(small: PolicyRuntime) -> None:
     """A turn of the robot since its scan, by whole rays, is a turn of the scan."""
-    world = World(starts(5, 2, seed=6), IDEAL)
+    world = World(sample_starts(5, 2, seed=6), IDEAL)
     world.apply(np.full((2, 5, 3), 0.1), 0.1)
-    view = replace(world.observe(), push=None)
+    view = replace(world.observe(), noise=None)
     np.testing.assert_array_equal(
-        LearnedPolicy(small).command(view), LearnedPolicy(small).command(replace(view, moved=None))
+        LearnedPolicy(small).command(view), LearnedPolicy(small).command(replace(view, odometry=None))
     )
-    moved = np.zeros((2, 5, 3))
+    odometry = np.zeros((2, 5, 3))
     # A quarter turn maps cells onto cells, but for returns on their edges.
-    moved[..., 2] = np.pi / 2
+    odometry[..., 2] = np.pi / 2
     finer = replace(IDEAL, lidar=replace(IDEAL.lidar, scan=ScanConfig(rays=600)))
-    view = replace(World(starts(5, 2, seed=6), finer).observe(), push=None)
+    view = replace(World(sample_starts(5, 2, seed=6), finer).observe(), noise=None)
     turned = Scan(np.roll(view.scans.ranges, -150, axis=-1), view.scans.config)
-    found = LearnedPolicy(small).command(replace(view, moved=moved))
+    found = LearnedPolicy(small).command(replace(view, odometry=odometry))
     np.testing.assert_allclose(found, LearnedPolicy(small).command(replace(view, scans=turned)), atol=1e-5)
     assert not np.allclose(found, LearnedPolicy(small).command(view), atol=1e-2)
 
@@ -269,7 +269,7 @@ def test_one_controller_serves_lidars_in_turn(small: PolicyRuntime) -> None:
     controller, views = LearnedPolicy(small), []
     for rays in (450, 667):
         profile = replace(IDEAL, lidar=replace(IDEAL.lidar, scan=ScanConfig(rays=rays)))
-        views.append(World(starts(4, 1, seed=6), profile).observe())
+        views.append(World(sample_starts(4, 1, seed=6), profile).observe())
     for view in (*views, *views):
         np.testing.assert_array_equal(controller.command(view), LearnedPolicy(small).command(view))
 
@@ -280,14 +280,14 @@ def test_every_controller_commands_a_world(name: str) -> None:
         with pytest.raises(ConfigurationError, match="there is no policy"):
             make_controller(name)
         return
-    view = World(starts(4, 2, seed=3), get_profile("ideal")).observe()
+    view = World(sample_starts(4, 2, seed=3), get_profile("ideal")).observe()
     controller = make_controller(name)
     commands = controller.command(view)
     assert commands.shape == (2, 4, 3)
     assert np.isfinite(commands).all()
     assert commands.any()
     assert controller.description["name"] == name
-    blind = View(view.scans, view.active, view.time, push=view.push, moved=view.moved)
+    blind = View(view.scans, view.active, view.time, noise=view.noise, odometry=view.odometry)
     if controller.privileged:
         with pytest.raises(TriformError, match="poses"):
             controller.command(blind)

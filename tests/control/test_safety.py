@@ -13,15 +13,15 @@ from scipy.optimize import minimize
 from shapely import Point, box
 
 from triform.control import safety
-from triform.control._safety_kernels import gap_along, nearest_allowed
 from triform.control.expert import Expert
-from triform.control.safety import Guard, Guarded, reaction_time
+from triform.control.safety import SafetyFilter, SafetySettings, reaction_time
+from triform.control.safety_kernels import gap_along, nearest_allowed
 from triform.control.scan_pipeline import ScanPipeline
 from triform.simulation.arena import Arena, get_arena
 from triform.simulation.kinematics import limit_twists
 from triform.simulation.lidar import cast_scans
 from triform.simulation.profiles import HARDWARE, IDEAL, ROBOMASTER_EP, Drive, Footprint, Profile, constant_noise
-from triform.simulation.spawning import starts
+from triform.simulation.spawning import sample_starts
 from triform.simulation.world import World
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, FloatArray, PrivilegedView, Scan, ScanConfig, View
@@ -137,25 +137,25 @@ def test_within_the_outline_the_ray_is_the_direction(distance):
 
 
 def test_what_is_far_changes_no_bit():
-    view = look(starts(7, 20, seed=1))
+    view = look(sample_starts(7, 20, seed=1))
     controller = Expert(max_speed=0.01)
     wanted = controller.command(view)
-    np.testing.assert_array_equal(Guarded(controller).command(view), wanted)
+    np.testing.assert_array_equal(SafetyFilter(controller).command(view), wanted)
     assert wanted.any()
 
 
 def test_the_given_commands_are_not_written_to():
     given_commands = Given([[(0.5, 0, 0), (0.5, 0, 0)]])
-    limited = Guarded(given_commands).command(look([[(0, 0, 0), (0.4, 0, 0)]]))
+    limited = SafetyFilter(given_commands).command(look([[(0, 0, 0), (0.4, 0, 0)]]))
     np.testing.assert_array_equal(given_commands.commands[0, :, 0], 0.5)
     assert limited[0, 0, 0] < 0.1
     assert limited[0, 1, 0] == 0.5
 
 
 def test_the_speed_ahead_is_the_rate_times_what_is_left():
-    guard = Guard(reaction=0.25, min_gap=0.06)
+    guard = SafetySettings(reaction=0.25, min_gap=0.06)
     assert guard.rate == pytest.approx(1 / (2 * np.e * 0.25))
-    commands = Guarded(Given([[(0.5, 0.1, 0), (-0.5, 0, 0)]]), guard).command(look([[(0, 0, 0), (0.52, 0, 0)]]))
+    commands = SafetyFilter(Given([[(0.5, 0.1, 0), (-0.5, 0, 0)]]), guard).command(look([[(0, 0, 0), (0.52, 0, 0)]]))
     np.testing.assert_allclose(commands[0, 0, :2], [guard.rate * 0.14, 0.1], atol=1e-6)
     np.testing.assert_allclose(commands[0, 1, :2], [-guard.rate * 0.14, 0], atol=1e-6)
 
@@ -163,7 +163,7 @@ def test_the_speed_ahead_is_the_rate_times_what_is_left():
 def test_nearer_than_the_gap_to_keep_only_the_approach_is_forbidden():
     view = look([[(0, 0, 0), (0.35, 0, 0)]])
     for wanted, allowed in (((0.5, 0.2), (0, 0.2)), ((-0.5, 0.2), (-0.5, 0.2)), ((0, 0), (0, 0))):
-        commands = Guarded(Given([[(*wanted, 0), (0, 0, 0)]])).command(view)
+        commands = SafetyFilter(Given([[(*wanted, 0), (0, 0, 0)]])).command(view)
         np.testing.assert_allclose(commands[0, 0, :2], allowed, atol=1e-6)
 
 
@@ -175,16 +175,16 @@ def test_circles_have_no_front(turn, seed):
     wanted = rng.uniform(-0.5, 0.5, 2)
     angle = turn * CONFIG.angle_increment
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    guard = Guard(footprint=0.3)
-    before = Guarded(Given([[(*wanted, 0)]]), guard).command(view_of(ranges))[0, 0, :2]
-    turned = Guarded(Given([[(*(rotation @ wanted), 0)]]), guard).command(view_of(np.roll(ranges, turn)))
+    guard = SafetySettings(footprint=0.3)
+    before = SafetyFilter(Given([[(*wanted, 0)]]), guard).command(view_of(ranges))[0, 0, :2]
+    turned = SafetyFilter(Given([[(*(rotation @ wanted), 0)]]), guard).command(view_of(np.roll(ranges, turn)))
     np.testing.assert_allclose(turned[0, 0, :2], rotation @ before, atol=1e-9)
 
 
 def test_no_robot_becomes_faster():
-    view = look(starts(13, 30, seed=4, side=3.2))
+    view = look(sample_starts(13, 30, seed=4, side=3.2))
     wanted = Crush().command(view)
-    limited = Guarded(Crush()).command(view)
+    limited = SafetyFilter(Crush()).command(view)
     assert (np.linalg.norm(limited, axis=-1) <= np.linalg.norm(wanted, axis=-1) + 1e-12).all()
     assert np.mean(np.any(limited != wanted, axis=-1)) > 0.2
 
@@ -192,7 +192,7 @@ def test_no_robot_becomes_faster():
 @pytest.mark.parametrize("value", [0.15, -np.inf])
 def test_one_ray_alone_is_not_believed(value):
     ranges, k = np.full(CONFIG.rays, np.inf), ray_at(0.0)
-    guarded = Guarded(Given([[(0.5, 0, 0)]]))
+    guarded = SafetyFilter(Given([[(0.5, 0, 0)]]))
     ranges[k] = value
     assert guarded.command(view_of(ranges))[0, 0, 0] == 0.5
     ranges[k + 1] = value
@@ -201,14 +201,14 @@ def test_one_ray_alone_is_not_believed(value):
 
 def test_dropped_rays_and_ranges_that_are_none_open_no_way():
     ranges = look([[(0, 0, 0), (0.4, 0, 0)]]).scans.ranges[0, 0].astype(float)
-    whole = Guarded(Given([[(0.5, 0, 0)]])).command(view_of(ranges))
+    whole = SafetyFilter(Given([[(0.5, 0, 0)]])).command(view_of(ranges))
     ranges[::3] = np.resize([np.nan, 0.0, -1.0, 9.0], len(ranges[::3]))
     # Two of three rays are left: the median is the farther of them.
-    np.testing.assert_allclose(Guarded(Given([[(0.5, 0, 0)]])).command(view_of(ranges)), whole, atol=1e-3)
+    np.testing.assert_allclose(SafetyFilter(Given([[(0.5, 0, 0)]])).command(view_of(ranges)), whole, atol=1e-3)
 
 
 def test_a_robot_without_measurements_stands_still():
-    guarded = Guarded(Given([[(0.5, 0.1, 0.2)]]))
+    guarded = SafetyFilter(Given([[(0.5, 0.1, 0.2)]]))
     free, early = np.full(CONFIG.rays, np.inf), 0.1
     assert not guarded.command(view_of(np.full(CONFIG.rays, np.nan))).any()
     assert not guarded.command(view_of(free, early)).any()
@@ -219,34 +219,36 @@ def test_a_robot_without_measurements_stands_still():
 
 
 def test_a_robot_within_another_does_not_move():
-    assert not Guarded(Given([[(0.5, 0.1, 0)]])).command(view_of(np.full(CONFIG.rays, -np.inf))).any()
+    assert not SafetyFilter(Given([[(0.5, 0.1, 0)]])).command(view_of(np.full(CONFIG.rays, -np.inf))).any()
 
 
 def test_robots_that_do_not_exist_are_left_alone():
     view = look([[(0, 0, 0), (0.4, 0, 0)]])
     view = replace(view, active=np.array([[True, False]]))
-    commands = Guarded(Given([[(0.5, 0, 0), (0, 0, 0)]])).command(view)
+    commands = SafetyFilter(Given([[(0.5, 0, 0), (0, 0, 0)]])).command(view)
     assert (commands[0, 1] == 0).all()
 
 
 def test_half_planes_hold_for_what_the_drive_makes_of_a_command():
     drive = Drive(max_speed=0.5, max_axis_speed=0.1)
-    view = look(starts(13, 30, seed=5, side=3.2))
+    view = look(sample_starts(13, 30, seed=5, side=3.2))
     wanted = Given(np.random.default_rng(2).uniform(-1, 1, (30, 13, 3)) * [1, 1, 0])
-    guard = Guard(max_speed=0.5, max_axis_speed=0.1)
-    driven = limit_twists(Guarded(wanted, guard).command(view), drive)
+    guard = SafetySettings(max_speed=0.5, max_axis_speed=0.1)
+    driven = limit_twists(SafetyFilter(wanted, guard).command(view), drive)
     # What is driven passes a second time: it was allowed.
-    np.testing.assert_allclose(Guarded(Given(driven)).command(view), driven, atol=1e-12)
+    np.testing.assert_allclose(SafetyFilter(Given(driven)).command(view), driven, atol=1e-12)
     assert (driven != limit_twists(wanted.commands, drive)).any()
 
 
 def test_a_robot_turns_only_while_its_circle_is_free():
     beside = look([[(0, 0, 0), (0, 0.3, 0)]])
-    commands = Guarded(Given([[(0.1, 0.1, 1.0), (0, 0, 0)]])).command(beside)
+    commands = SafetyFilter(Given([[(0.1, 0.1, 1.0), (0, 0, 0)]])).command(beside)
     assert commands[0, 0, 2] == 0
     assert commands[0, 0, 1] < 0.1
     free = look([[(0, 0, 0), (0, 0.9, 0)]])
-    np.testing.assert_array_equal(Guarded(Given([[(0.1, 0.1, 1.0), (0, 0, 0)]])).command(free)[0, 0], [0.1, 0.1, 1.0])
+    np.testing.assert_array_equal(
+        SafetyFilter(Given([[(0.1, 0.1, 1.0), (0, 0, 0)]])).command(free)[0, 0], [0.1, 0.1, 1.0]
+    )
 
 
 def drive_for(world: World, controller, seconds: float) -> None:
@@ -270,7 +272,7 @@ def test_robots_head_on_never_overlap(profile):
     poses[:, 1, 0] = rng.uniform(0.5, 2.0, 40)
     plain, guarded = (World(poses, profile, seeds=range(40)) for _ in range(2))
     drive_for(plain, Crush(), 5)
-    drive_for(guarded, Guarded(Crush()), 15)
+    drive_for(guarded, SafetyFilter(Crush()), 15)
     assert plain.collided.all()
     assert not guarded.collided.any()
     # They do come near: the layer is no wall.
@@ -279,8 +281,8 @@ def test_robots_head_on_never_overlap(profile):
 
 @pytest.mark.parametrize("profile", [IDEAL, WORST])
 def test_a_crowd_never_overlaps(profile):
-    world = World(starts(9, 12, seed=6), profile, seeds=range(12))
-    drive_for(world, Guarded(Crush()), 15)
+    world = World(sample_starts(9, 12, seed=6), profile, seeds=range(12))
+    drive_for(world, SafetyFilter(Crush()), 15)
     assert not world.collided.any()
     assert world.min_distance.max() < 0.45
 
@@ -291,9 +293,9 @@ def test_walls_and_pillars_are_not_hit(arena):
         def command(self, view: PrivilegedView) -> FloatArray:
             return -super().command(view)
 
-    plain, guarded = (World(starts(7, 10, seed=6), WORST, get_arena(arena), range(10)) for _ in range(2))
+    plain, guarded = (World(sample_starts(7, 10, seed=6), WORST, get_arena(arena), range(10)) for _ in range(2))
     drive_for(plain, Flee(), 15)
-    drive_for(guarded, Guarded(Flee()), 15)
+    drive_for(guarded, SafetyFilter(Flee()), 15)
     assert plain.hit_arena.all()
     assert not guarded.hit_arena.any()
     assert not guarded.collided.any()
@@ -302,9 +304,9 @@ def test_walls_and_pillars_are_not_hit(arena):
 def test_the_hardware_keeps_apart_too():
     drive, lidar = HARDWARE.drive, HARDWARE.lidar
     reaction = reaction_time(HARDWARE.control_period, lidar.period, HARDWARE.latency, lidar.rolling, drive.lag)
-    guard = Guard(reaction=reaction, max_speed=drive.max_speed, max_axis_speed=drive.max_axis_speed)
-    world = World(starts(7, 6, seed=6, side=2.5), HARDWARE, seeds=range(6))
-    drive_for(world, Guarded(Crush(), guard), 20)
+    guard = SafetySettings(reaction=reaction, max_speed=drive.max_speed, max_axis_speed=drive.max_axis_speed)
+    world = World(sample_starts(7, 6, seed=6, side=2.5), HARDWARE, seeds=range(6))
+    drive_for(world, SafetyFilter(Crush(), guard), 20)
     assert not world.collided.any()
 
 
@@ -312,7 +314,7 @@ def test_a_lagging_drive_with_the_reaction_time_does_not_overshoot():
     # One gap X, two robots that each approach at the allowed rate: X' = -v, lag v' = 2 rate X(t - delay) - v.
     step = 1e-3
     for lag, delay in ((0.0, 0.3), (0.1, 0.3), (0.3, 0.3), (0.3, 0.001)):
-        rate = Guard(reaction=reaction_time(delay, 0.0, lag=lag)).rate
+        rate = SafetySettings(reaction=reaction_time(delay, 0.0, lag=lag)).rate
         old, speed = [1.0] * (round(delay / step) + 1), 0.0
         for _ in range(5000):
             wanted = 2 * rate * old[-1 - round(delay / step)]
@@ -322,12 +324,12 @@ def test_a_lagging_drive_with_the_reaction_time_does_not_overshoot():
 
 
 def test_reaction_is_the_age_of_the_oldest_measurement_in_use():
-    assert Guard().reaction == pytest.approx(reaction_time(0.1, 0.1, latency=0.2))
+    assert SafetySettings().reaction == pytest.approx(reaction_time(0.1, 0.1, latency=0.2))
     assert reaction_time(0.125, 0.25, rolling=True, lag=0.2) == pytest.approx(0.125 + 0.5 + 0.3)
 
 
 def test_it_describes_itself_and_what_it_guards():
-    guarded: Controller[View] = Guarded(ScanPipeline(), Guard(footprint=0.3, max_axis_speed=0.1))
+    guarded: Controller[View] = SafetyFilter(ScanPipeline(), SafetySettings(footprint=0.3, max_axis_speed=0.1))
     assert not guarded.privileged
     described = json.loads(json.dumps(guarded.description, allow_nan=False))
     assert described["name"] == "scan-pipeline"
@@ -335,15 +337,15 @@ def test_it_describes_itself_and_what_it_guards():
         "footprint": {"shape": "circle", "length": 0.3, "width": 0.3},
         "min_gap": 0.05, "reaction": 0.4, "max_speed": None, "max_axis_speed": 0.1,
     }  # fmt: skip
-    assert Guarded(Expert()).privileged
+    assert SafetyFilter(Expert()).privileged
 
 
 def test_the_number_of_threads_does_not_matter(monkeypatch):
     monkeypatch.setattr(safety, "ROBOTS_PER_THREAD", 1)
-    view = look(starts(9, 8, seed=4, side=2.5))
-    parallel = Guarded(Crush()).command(view)
+    view = look(sample_starts(9, 8, seed=4, side=2.5))
+    parallel = SafetyFilter(Crush()).command(view)
     with limit_threads(1):
-        np.testing.assert_array_equal(Guarded(Crush()).command(view), parallel)
+        np.testing.assert_array_equal(SafetyFilter(Crush()).command(view), parallel)
 
 
 @pytest.mark.parametrize(
@@ -352,4 +354,4 @@ def test_the_number_of_threads_does_not_matter(monkeypatch):
 )
 def test_impossible_guards_are_refused(bad):
     with pytest.raises(ConfigurationError, match=next(iter(bad))):
-        Guard(**bad)
+        SafetySettings(**bad)

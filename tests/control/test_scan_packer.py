@@ -62,10 +62,10 @@ def test_scans_of_robots_that_have_moved(seed: int, scans: int) -> None:
     assert_same(packer.pack(ranges, np.zeros((scans, 3))), pack(occupancy_maps(Scan(ranges, scan), config), 10))
     # Quarter turns take cells to cells and rays to rays.
     quarters = np.random.default_rng(seed).integers(-3, 4, scans)
-    moved = np.zeros((scans, 3))
-    moved[:, 2] = quarters * np.pi / 2
+    odometry = np.zeros((scans, 3))
+    odometry[:, 2] = quarters * np.pi / 2
     turned = np.stack([np.roll(row, -each * scan.rays // 4) for row, each in zip(ranges, quarters, strict=True)])
-    assert_same(packer.pack(ranges, moved), pack(occupancy_maps(Scan(turned, scan), config), 10))
+    assert_same(packer.pack(ranges, odometry), pack(occupancy_maps(Scan(turned, scan), config), 10))
 
 
 def test_threads_do_not_share_their_room() -> None:

@@ -18,7 +18,7 @@ from triform.geometry import assess, edge_error
 from triform.simulation.arena import Arena
 from triform.simulation.lidar import cast_scans
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint, get_profile
-from triform.simulation.spawning import starts
+from triform.simulation.spawning import sample_starts
 from triform.simulation.world import World
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, PrivilegedView, Scan, ScanConfig, View
@@ -34,7 +34,7 @@ def look(poses, footprint=ROBOMASTER_EP, active=None, config=CONFIG) -> Privileg
 
 
 def pushed(view, seed=0) -> PrivilegedView:
-    return replace(view, push=np.random.default_rng(seed).standard_normal((*view.active.shape, 2)))
+    return replace(view, noise=np.random.default_rng(seed).standard_normal((*view.active.shape, 2)))
 
 
 def test_it_is_a_controller_for_any_view_and_describes_itself():
@@ -48,7 +48,7 @@ def test_it_is_a_controller_for_any_view_and_describes_itself():
 
 def test_commands_agree_with_the_expert_that_sees_as_far():
     # Within 2 m of sight the true neighbours are those of the expert, if nobody stands at the very limit.
-    view = look(starts(7, 60, seed=2))
+    view = look(sample_starts(7, 60, seed=2))
     gap = np.linalg.norm(
         ScanPipeline(max_speed=9).command(view) - Expert(max_speed=9, sensing_range=2).command(view), axis=-1
     )
@@ -71,7 +71,7 @@ def test_gain_and_distance_scale_the_command():
 
 
 def test_long_commands_are_shortened_and_keep_their_direction():
-    view = look(starts(7, 10, seed=1))
+    view = look(sample_starts(7, 10, seed=1))
     full = ScanPipeline(max_speed=100).command(view)
     short = ScanPipeline(max_speed=0.1).command(view)
     speed = np.linalg.norm(full, axis=-1, keepdims=True)
@@ -103,7 +103,7 @@ def test_a_robot_that_sees_nothing_stands_still(value, robots):
 
 def test_broken_rays_give_finite_commands():
     rng = np.random.default_rng(0)
-    ranges = look(starts(5, 20, seed=4)).scans.ranges
+    ranges = look(sample_starts(5, 20, seed=4)).scans.ranges
     broken = rng.random(ranges.shape)
     ranges[broken < 0.3] = np.nan
     ranges[broken < 0.2] = -np.inf
@@ -115,7 +115,7 @@ def test_broken_rays_give_finite_commands():
 
 def test_the_number_of_threads_changes_nothing(monkeypatch):
     monkeypatch.setattr(scan_pipeline, "SCANS_PER_THREAD", 1)
-    view = look(starts(5, 8, seed=4))
+    view = look(sample_starts(5, 8, seed=4))
     parallel = ScanPipeline().command(view)
     with limit_threads(1):
         np.testing.assert_array_equal(ScanPipeline().command(view), parallel)
@@ -132,7 +132,7 @@ def test_impossible_settings_are_refused(bad):
 @pytest.mark.parametrize(("robots", "limit"), [(5, 0.002), (9, 0.01)])
 def test_formations_close_in_from_scans_alone(robots, limit):
     profile = get_profile("ideal")
-    world = World(starts(robots, 8, seed=7), profile)
+    world = World(sample_starts(robots, 8, seed=7), profile)
     controller = ScanPipeline()
     for _ in range(round(30 / profile.control_period)):
         world.apply(controller.command(world.observe()), profile.control_period)
@@ -160,7 +160,7 @@ def test_the_triangulating_law_is_applied_to_what_is_detected(distance, bent):
 
 
 def test_random_teams_get_the_triangulating_law_of_those_in_sight():
-    view = pushed(look(starts(5, 80, seed=2)))
+    view = pushed(look(sample_starts(5, 80, seed=2)))
     gap = np.linalg.norm(
         ScanPipeline(law="triangulating").command(view)[..., :2] - Triangulating(max_speed=1).command(view)[..., :2],
         axis=-1,
@@ -173,9 +173,9 @@ def test_the_push_is_as_large_as_the_law_says():
     # No edge of a bent row of three robots that see each other has a triangle.
     view = look([[(0, 0, 0), (1, 0, 0), (1.3, 1.1, 0)]])
     controller = ScanPipeline(law="triangulating", max_speed=99)
-    push = np.array([[(0.3, -0.2), (1.0, 2.0), (-0.4, 0.1)]])
-    difference = controller.command(replace(view, push=push)) - controller.command(view)
-    np.testing.assert_allclose(difference[..., :2], TriangulatingLaw().bridge_push * push, atol=1e-12)
+    noise = np.array([[(0.3, -0.2), (1.0, 2.0), (-0.4, 0.1)]])
+    difference = controller.command(replace(view, noise=noise)) - controller.command(view)
+    np.testing.assert_allclose(difference[..., :2], TriangulatingLaw().bridge_push * noise, atol=1e-12)
 
 
 def test_everything_scaled_gives_scaled_commands():
@@ -217,7 +217,7 @@ def test_the_triangulating_law_has_room_for_many_robots():
 
 
 def test_five_robots_triangulate_from_scans_alone():
-    world = World(starts(5, 6, seed=7), get_profile("ideal"))
+    world = World(sample_starts(5, 6, seed=7), get_profile("ideal"))
     trajectory = rollout(world, ScanPipeline(law="triangulating"), 40)
     assert assess(trajectory.positions[:, -1]).strict.all()
     assert not world.collided.any()

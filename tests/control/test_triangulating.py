@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from shapely.geometry import LineString, Point
 
 from triform.control import Triangulating, TriangulatingLaw, triangulating
-from triform.control._triangulating_kernels import FACTS, TERMS, _circle_centre, hidden, triangulate
+from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, _circle_centre, hidden, triangulate
 from triform.geometry import body_to_world
 from triform.geometry.cells import SMALL_TEAM
 from triform.threads import limit_threads
@@ -49,13 +49,13 @@ def ramp(value: float, begin: float, width: float) -> float:
 
 
 def law_by_its_words(others: np.ndarray, law: TriangulatingLaw) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
-    """Velocity, amplitude of the push, terms and facts for a robot that sees ``others``, as the docstrings say it."""
+    """Velocity, amplitude of the noise, terms and features of a robot that sees ``others``, as the docstrings say."""
     if len(others) == 0:
-        return np.zeros(2), 0.0, np.zeros((0, TERMS)), np.zeros(FACTS)
+        return np.zeros(2), 0.0, np.zeros((0, EDGE_TERMS)), np.zeros(FEATURES)
     points = np.concatenate([np.zeros((1, 2)), others])
     linked = gabriel(points, law.sight)
     radii = np.linalg.norm(points, axis=1)
-    terms = np.zeros((len(points), TERMS))
+    terms = np.zeros((len(points), EDGE_TERMS))
     away, bridge, largest = np.zeros(2), False, 0.0
     for j in range(1, len(points)):
         unit, strain = points[j] / radii[j], radii[j] - 1.0
@@ -80,20 +80,20 @@ def law_by_its_words(others: np.ndarray, law: TriangulatingLaw) -> tuple[np.ndar
     compaction = loose * centre / max(np.linalg.norm(centre), 0.2)
     velocity = terms[:, :2].sum(axis=0) + law.compaction_speed * compaction
     strained = ramp(largest, law.strain_limit, law.strain_width)
-    push = law.strain_push * strained
+    noise = law.strain_push * strained
     if bridge:
         velocity = velocity + law.bridge_pull * away / (np.linalg.norm(away) + 1e-9)
-        push = law.bridge_push
-    return velocity, push, terms[1:], np.array([bridge, strained, loose, *compaction])
+        noise = law.bridge_push
+    return velocity, noise, terms[1:], np.array([bridge, strained, loose, *compaction])
 
 
 def law_by_kernel(others: np.ndarray, law: TriangulatingLaw) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
     """The same by the compiled law."""
     x, y = np.concatenate([np.zeros((1, 2)), others.reshape(-1, 2)]).T.copy()
     count = len(x)
-    terms, facts = np.full((count, TERMS), np.nan), np.full(FACTS, np.nan)
-    v_x, v_y, push = triangulate(x, y, count, law.constants, np.empty((count, count), dtype=bool), terms, facts)
-    return np.array([v_x, v_y]), push, terms[1:], facts
+    terms, facts = np.full((count, EDGE_TERMS), np.nan), np.full(FEATURES, np.nan)
+    v_x, v_y, noise = triangulate(x, y, count, law.constants, np.empty((count, count), dtype=bool), terms, facts)
+    return np.array([v_x, v_y]), noise, terms[1:], facts
 
 
 def random_others(seed: int) -> np.ndarray:
@@ -142,23 +142,23 @@ def test_random_others_bring_every_term_of_the_law_into_play() -> None:
 @given(seeds, st.floats(-np.pi, np.pi))
 def test_turns_with_the_others_and_takes_them_in_any_order(seed: int, angle: float) -> None:
     others = random_others(seed)
-    velocity, push, terms, facts = law_by_kernel(others, LAW)
+    velocity, noise, terms, facts = law_by_kernel(others, LAW)
     order = np.random.default_rng(seed).permutation(len(others))
-    assert_same_law(law_by_kernel(others[order], LAW), (velocity, push, terms[order], facts))
+    assert_same_law(law_by_kernel(others[order], LAW), (velocity, noise, terms[order], facts))
     turned_velocity, turned_push, turned_terms, turned_facts = law_by_kernel(body_to_world(others, angle), LAW)
     turned = np.concatenate([body_to_world(terms[:, :2], angle), terms[:, 2:]], axis=1)
     now = np.concatenate([facts[:3], body_to_world(facts[3:], angle)])
     found = (turned_velocity, turned_push, turned_terms, turned_facts)
-    assert_same_law(found, (body_to_world(velocity, angle), push, turned, now))
+    assert_same_law(found, (body_to_world(velocity, angle), noise, turned, now))
 
 
 def test_nobody_one_and_two() -> None:
-    velocity, push, _, facts = law_by_kernel(np.empty((0, 2)), LAW)
+    velocity, noise, _, facts = law_by_kernel(np.empty((0, 2)), LAW)
     assert not velocity.any()
     assert not facts.any()
-    assert push == 0.0
+    assert noise == 0.0
     for length in (0.5, 0.95, 1.0, 1.05, 1.2, 1.4, 2.0):
-        velocity, push, terms, facts = law_by_kernel(np.array([[length, 0.0]]), LAW)
+        velocity, noise, terms, facts = law_by_kernel(np.array([[length, 0.0]]), LAW)
         # Two robots have no bridge, and their edge does not yield.
         assert (facts[0], *terms[0, 2:]) == (0.0, 1.0, 0.0)
         along = LAW.gain * (length - 1) + LAW.far_gain * max(length - LAW.far_range, 0.0)
@@ -166,7 +166,7 @@ def test_nobody_one_and_two() -> None:
         # Looseness is asked of what is near.
         along += LAW.compaction_speed * ramp(length, LAW.loose_length, LAW.loose_width) * (length <= 1.5)
         np.testing.assert_allclose(velocity, [along, LAW.odd_gain * (length - 1)], atol=1e-12)
-        assert push == pytest.approx(LAW.strain_push * ramp(abs(length - 1), LAW.strain_limit, LAW.strain_width))
+        assert noise == pytest.approx(LAW.strain_push * ramp(abs(length - 1), LAW.strain_limit, LAW.strain_width))
 
 
 @settings(deadline=None, max_examples=60)
@@ -206,10 +206,10 @@ def in_the_plane(patch: list[tuple[int, int]]) -> np.ndarray:
     return body_to_world(np.stack([a + b / 2, np.sqrt(0.75) * b], axis=1), 0.3)
 
 
-def view(poses: np.ndarray, active: np.ndarray | None = None, push: np.ndarray | None = None) -> PrivilegedView:
+def view(poses: np.ndarray, active: np.ndarray | None = None, noise: np.ndarray | None = None) -> PrivilegedView:
     shape = poses.shape[:2]
     active = np.ones(shape, dtype=bool) if active is None else active
-    return PrivilegedView(Scan(np.full((*shape, 1), np.inf), ScanConfig(rays=1)), active, 0.0, poses, push=push)
+    return PrivilegedView(Scan(np.full((*shape, 1), np.inf), ScanConfig(rays=1)), active, 0.0, poses, noise=noise)
 
 
 @pytest.mark.parametrize("robots", [3, 4, 5, 7, 10, 14, 19])
@@ -218,12 +218,12 @@ def test_rests_and_is_not_pushed_in_a_perfect_triangulation(robots: int) -> None
         patch = lattice_patch(seed, robots)
         for i in range(robots):
             away = np.delete(patch, i, axis=0) - patch[i]
-            velocity, push, _, facts = law_by_kernel(away[np.linalg.norm(away, axis=1) <= LAW.sight], LAW)
+            velocity, noise, _, facts = law_by_kernel(away[np.linalg.norm(away, axis=1) <= LAW.sight], LAW)
             assert np.abs(velocity).max() < 1e-9
-            assert push < 1e-9
+            assert noise < 1e-9
             assert not facts.any()
         poses = np.concatenate([patch, np.linspace(-3, 3, robots)[:, None]], axis=1)[None]
-        command = Triangulating().command(view(poses, push=np.full((1, robots, 2), 3.0)))
+        command = Triangulating().command(view(poses, noise=np.full((1, robots, 2), 3.0)))
         np.testing.assert_allclose(command, 0.0, atol=1e-9)
 
 
@@ -270,7 +270,7 @@ def spread_poses(seed: int, robots: int, spacing: float, side: float) -> np.ndar
 
 
 def commands_by_its_words(
-    poses: np.ndarray, push: np.ndarray, law: TriangulatingLaw, distance: float, blocking: float, max_speed: float
+    poses: np.ndarray, noise: np.ndarray, law: TriangulatingLaw, distance: float, blocking: float, max_speed: float
 ) -> np.ndarray:
     """Body twists (N, 3) of a team, seen with Shapely and driven by ``law_by_its_words``."""
     out = np.zeros((len(poses), 3))
@@ -284,7 +284,7 @@ def commands_by_its_words(
         ]
         body = body_to_world(away[np.array(seen, dtype=bool)] / distance, -pose[2])
         velocity, amplitude, _, _ = law_by_its_words(body, law)
-        twist = distance * (velocity + amplitude * push[i])
+        twist = distance * (velocity + amplitude * noise[i])
         out[i, :2] = twist * min(1.0, max_speed / max(np.linalg.norm(twist), 1e-12))
     return out
 
@@ -295,26 +295,28 @@ def test_a_team_is_driven_by_what_each_robot_sees(
     seed: int, robots: int, distance: float, blocking: float, max_speed: float
 ) -> None:
     poses = spread_poses(seed, robots, 0.4 * distance, 1.2 * distance * np.sqrt(robots + 1))
-    push = np.random.default_rng(seed).standard_normal((robots, 2))
+    noise = np.random.default_rng(seed).standard_normal((robots, 2))
     controller = Triangulating(distance, max_speed, blocking_radius=blocking)
-    found = controller.command(view(poses[None], push=push[None]))[0]
-    np.testing.assert_allclose(found, commands_by_its_words(poses, push, LAW, distance, blocking, max_speed), atol=1e-7)
+    found = controller.command(view(poses[None], noise=noise[None]))[0]
+    np.testing.assert_allclose(
+        found, commands_by_its_words(poses, noise, LAW, distance, blocking, max_speed), atol=1e-7
+    )
     assert (np.linalg.norm(found[:, :2], axis=1) <= max_speed * (1 + 1e-12)).all()
     unpushed = controller.command(view(poses[None]))
-    np.testing.assert_array_equal(unpushed, controller.command(view(poses[None], push=np.zeros((1, robots, 2)))))
+    np.testing.assert_array_equal(unpushed, controller.command(view(poses[None], noise=np.zeros((1, robots, 2)))))
 
 
 @settings(deadline=None, max_examples=40)
 @given(seeds, st.floats(0.3, 3.0), st.floats(-np.pi, np.pi))
 def test_moves_turns_and_grows_with_the_world(seed: int, scale: float, angle: float) -> None:
     poses = spread_poses(seed, 7, 0.4, 3.4)
-    push = np.random.default_rng(seed).standard_normal((1, 7, 2))
+    noise = np.random.default_rng(seed).standard_normal((1, 7, 2))
     other = poses.copy()
     other[:, :2] = scale * body_to_world(poses[:, :2], angle) + [3.0, -1.0]
     other[:, 2] += angle
-    wanted = scale * Triangulating().command(view(poses[None], push=push))
+    wanted = scale * Triangulating().command(view(poses[None], noise=noise))
     larger = Triangulating(scale, 0.5 * scale, blocking_radius=triangulating.BLOCKING_RADIUS * scale)
-    np.testing.assert_allclose(larger.command(view(other[None], push=push)), wanted, atol=1e-6)
+    np.testing.assert_allclose(larger.command(view(other[None], noise=noise)), wanted, atol=1e-6)
 
 
 @settings(deadline=None, max_examples=25)
@@ -325,15 +327,15 @@ def test_cells_change_no_bit_of_a_command(seed: int, robots: int) -> None:
     groups[1][:, :2] += [0.0, 40.0]
     rng = np.random.default_rng(seed)
     order = rng.permutation(2 * robots)
-    poses, push = np.concatenate(groups)[order], rng.standard_normal((2 * robots, 2))
+    poses, noise = np.concatenate(groups)[order], rng.standard_normal((2 * robots, 2))
     active = rng.random(2 * robots) < 0.9
     poses[~active] = np.nan
-    together = Triangulating().command(view(poses[None], active[None], push[None]))[0]
+    together = Triangulating().command(view(poses[None], active[None], noise[None]))[0]
     assert not together[~active].any()
     assert together[active].any()
     for group in range(2):
         own = active & (order // robots == group)
-        alone = Triangulating().command(view(poses[None, own], push=push[None, own]))[0]
+        alone = Triangulating().command(view(poses[None, own], noise=noise[None, own]))[0]
         np.testing.assert_array_equal(alone, together[own])
 
 
@@ -344,17 +346,17 @@ def test_neither_threads_nor_the_batch_nor_who_is_gone_matter(
     monkeypatch.setattr(triangulating, "_ROBOTS_PER_THREAD", 1)
     rng = np.random.default_rng(1)
     poses = np.stack([spread_poses(b, robots, 0.4, 1.1 * np.sqrt(robots)) for b in range(worlds)])
-    push, active = rng.standard_normal((worlds, robots, 2)), rng.random((worlds, robots)) < 0.8
+    noise, active = rng.standard_normal((worlds, robots, 2)), rng.random((worlds, robots)) < 0.8
     active[-1] = False
     poses[~active] = np.nan
     with limit_threads(1):
-        expected = Triangulating().command(view(poses, active, push))
+        expected = Triangulating().command(view(poses, active, noise))
     assert not expected[~active].any()
     with limit_threads(3):
-        np.testing.assert_array_equal(Triangulating().command(view(poses, active, push)), expected)
+        np.testing.assert_array_equal(Triangulating().command(view(poses, active, noise)), expected)
     for b in range(worlds):
         here = active[b]
-        only = Triangulating().command(view(poses[b : b + 1, here], push=push[b : b + 1, here]))
+        only = Triangulating().command(view(poses[b : b + 1, here], noise=noise[b : b + 1, here]))
         np.testing.assert_array_equal(only[0], expected[b, here])
 
 

@@ -16,7 +16,7 @@ from triform.dataset import Demonstrations, collect
 from triform.dataset.demonstrate import demonstrate
 from triform.dataset.sensing import sense
 from triform.perception import occupancy_maps
-from triform.simulation import ROBOMASTER_EP, Arena, Footprint, cast_scans, starts
+from triform.simulation import ROBOMASTER_EP, Arena, Footprint, cast_scans, sample_starts
 from triform.types import FloatArray, MapArray, MapConfig, PrivilegedView, Scan, ScanConfig
 
 from .conftest import SMALL
@@ -70,7 +70,7 @@ def test_the_manifest_says_what_is_there(small_folder: Path) -> None:
 
 def test_roll_outs_obey_the_speed_limit_and_follow_the_teacher() -> None:
     for run, (poses, commands) in enumerate(demonstrate(SMALL, range(SMALL.runs))):
-        np.testing.assert_array_equal(poses[0], starts(SMALL.robots, 1, SMALL.roll_out_seed, first=run)[0])
+        np.testing.assert_array_equal(poses[0], sample_starts(SMALL.robots, 1, SMALL.roll_out_seed, first=run)[0])
         cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
         u_x, u_y = commands[..., 0], commands[..., 1]
         velocity = np.stack([cos * u_x - sin * u_y, sin * u_x + cos * u_y], axis=-1)
@@ -85,7 +85,7 @@ def test_placements_are_valid_starts_that_never_repeat() -> None:
     runs = range(SMALL.runs, SMALL.all_runs)
     poses = np.concatenate([each for each, _ in demonstrate(SMALL, runs)])
     assert len(poses) == SMALL.placements
-    np.testing.assert_array_equal(poses, starts(SMALL.robots, SMALL.placements, SMALL.placement_seed))
+    np.testing.assert_array_equal(poses, sample_starts(SMALL.robots, SMALL.placements, SMALL.placement_seed))
     assert len(np.unique(poses[:, 0, 0])) == len(poses)
 
 
@@ -126,7 +126,7 @@ def test_jitter_moves_what_is_recorded_and_not_what_is_driven() -> None:
 def test_sensed_cells_are_those_of_the_robots_own_way(
     footprint: Footprint, scan: ScanConfig, map_config: MapConfig
 ) -> None:
-    poses = starts(6, 40, 5)
+    poses = sample_starts(6, 40, 5)
     cells, offsets = sense(poses, footprint, scan, map_config)
     dense = maps_of(poses, footprint, scan, map_config)
     assert dense.any()

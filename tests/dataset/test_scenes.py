@@ -12,7 +12,7 @@ from scipy import stats
 from shapely.geometry import LineString, Point
 
 from triform.control import Triangulating, TriangulatingLaw
-from triform.dataset import SceneConfig, Views, VisitedStates, draw_views
+from triform.dataset import SceneConfig, StateBuffer, Views, draw_views
 from triform.dataset.scenes import SEEN, draw_body, draw_positions
 from triform.geometry import body_to_world
 from triform.simulation import ROBOMASTER_EP
@@ -29,9 +29,9 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def draw(
-    seed: int, maps: int, config: SceneConfig, visited: VisitedStates | None = None, law: TriangulatingLaw = LAW
+    seed: int, maps: int, config: SceneConfig, visited: StateBuffer | None = None, law: TriangulatingLaw = LAW
 ) -> Views:
-    visited = VisitedStates.none() if visited is None else visited
+    visited = StateBuffer.none() if visited is None else visited
     return draw_views(np.random.default_rng(seed), maps, law, config, visited, ScanConfig(), MapConfig())
 
 
@@ -78,7 +78,7 @@ def commands(poses: np.ndarray, push: float, max_speed: float = 0.5) -> np.ndarr
     shape = poses.shape[:1]
     view = PrivilegedView(
         Scan(np.full((1, *shape, 1), np.inf), ScanConfig(rays=1)), np.ones((1, *shape), dtype=bool), 0.0, poses[None],
-        push=np.full((1, *shape, 2), push),
+        noise=np.full((1, *shape, 2), push),
     )  # fmt: skip
     return Triangulating(max_speed=max_speed, law=LAW).command(view)[0]
 
@@ -89,7 +89,7 @@ def test_the_label_is_what_the_law_does_there(seed: int, robots: int) -> None:
     positions = spread(seed, robots)
     if not all(in_sight(positions, i) for i in range(robots)):
         return
-    visited = VisitedStates.of_teams(positions[None])
+    visited = StateBuffer.of_teams(positions[None])
     views = draw(seed, robots, PLAIN, visited)
     free = draw(seed, robots, replace(PLAIN, max_speed=1e9), visited)
     np.testing.assert_array_equal(free.maps, views.maps)
@@ -113,7 +113,7 @@ def test_the_map_shows_the_robots_that_are_there(seed: int, robots: int) -> None
     positions = spread(seed, robots)
     if not all(in_sight(positions, i) for i in range(robots)):
         return
-    views, config = draw(seed, robots, PLAIN, VisitedStates.of_teams(positions[None])), MapConfig()
+    views, config = draw(seed, robots, PLAIN, StateBuffer.of_teams(positions[None])), MapConfig()
     for m, (i, heading) in enumerate(looking(views, positions)):
         others = body_to_world(np.delete(positions, i, axis=0) - positions[i], -heading)
         occupied = (np.argwhere(views.maps[m]) + 0.5) * config.cell - config.half_extent
@@ -131,7 +131,7 @@ def test_the_map_shows_the_robots_that_are_there(seed: int, robots: int) -> None
 
 
 def test_views_are_a_function_of_the_generators_state() -> None:
-    visited = VisitedStates.of_teams(np.stack([spread(k, 6) for k in range(5)]))
+    visited = StateBuffer.of_teams(np.stack([spread(k, 6) for k in range(5)]))
     config = SceneConfig(pillared=0.5)
     one, again, other = (draw(seed, 60, config, visited) for seed in (1, 1, 2))
     for name in ("maps", "commands", "seen", "facts"):
@@ -150,7 +150,7 @@ def test_views_are_a_function_of_the_generators_state() -> None:
 @given(seeds, st.tuples(st.integers(1, 12), st.integers(0, 12)))
 def test_placements_keep_their_spacing_and_hang_together(seed: int, sizes: tuple[int, int]) -> None:
     least, most = sizes[0], sizes[0] + sizes[1]
-    rng, team, nobody = np.random.default_rng(seed), np.empty((most, 2)), VisitedStates.none()
+    rng, team, nobody = np.random.default_rng(seed), np.empty((most, 2)), StateBuffer.none()
     for _ in range(10):
         robots = draw_positions(rng, nobody.positions, nobody.offsets, 0.0, (least, most), np.zeros(1), team)
         assert robots == 0 or least <= robots <= most
@@ -162,7 +162,7 @@ def test_placements_keep_their_spacing_and_hang_together(seed: int, sizes: tuple
 
 
 def test_every_size_is_placed() -> None:
-    rng, team, nobody = np.random.default_rng(1), np.empty((20, 2)), VisitedStates.none()
+    rng, team, nobody = np.random.default_rng(1), np.empty((20, 2)), StateBuffer.none()
     config = SceneConfig()
     counts = [
         draw_positions(rng, nobody.positions, nobody.offsets, 0.15, config.sizes, np.zeros(1), team) for _ in range(600)
@@ -173,7 +173,7 @@ def test_every_size_is_placed() -> None:
 
 def test_visited_states_are_jittered_by_one_of_the_deviations() -> None:
     positions = spread(1, 8)
-    visited = VisitedStates.of_teams(positions[None])
+    visited = StateBuffer.of_teams(positions[None])
     rng, team = np.random.default_rng(2), np.empty((8, 2))
     deviations = np.array([0.0, 0.01, 0.1])
     sizes = []
@@ -188,7 +188,7 @@ def test_visited_states_are_jittered_by_one_of_the_deviations() -> None:
 
 def test_placements_and_visited_states_are_drawn_in_their_shares() -> None:
     positions = spread(1, 3)
-    visited = VisitedStates.of_teams(positions[None])
+    visited = StateBuffer.of_teams(positions[None])
     rng, team, placed = np.random.default_rng(3), np.empty((9, 2)), 0
     for _ in range(1000):
         robots = draw_positions(rng, visited.positions, visited.offsets, 0.3, (3, 3), np.zeros(1), team)
@@ -217,7 +217,7 @@ def test_outlines_and_distances_are_drawn_as_documented() -> None:
 
 def test_footprints_in_maps_scale_with_the_distance() -> None:
     """Of a robot 1 d* away, the near side is where its outline over d* puts it."""
-    visited = VisitedStates.of_teams(np.array([[[0.0, 0.0], [1.0, 0.0]]]))
+    visited = StateBuffer.of_teams(np.array([[[0.0, 0.0], [1.0, 0.0]]]))
     cells = (np.arange(100) + 0.5) * 0.04 - 2.0
     away = np.hypot(cells[:, None], cells[None])
 
@@ -233,7 +233,7 @@ def test_footprints_in_maps_scale_with_the_distance() -> None:
 
 
 def test_noise_lost_rays_walls_and_pillars_come_in_their_shares() -> None:
-    visited = VisitedStates.of_teams(np.array([[[0.0, 0.0], [1.0, 0.0]]]))
+    visited = StateBuffer.of_teams(np.array([[[0.0, 0.0], [1.0, 0.0]]]))
     plain = draw(6, 200, replace(PLAIN, views=1), visited)
     for change in ({"noisy": 1.0, "noise": 0.1}, {"dropping": 1.0, "dropout": 1.0}, {"walled": 1.0}, {"pillared": 1.0}):
         views = draw(6, 200, replace(PLAIN, views=1, **change), visited)
@@ -252,7 +252,7 @@ def test_of_many_in_sight_as_many_are_told_as_there_is_room_for() -> None:
     crowd = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1)
     # Tiny robots that hide nobody.
     config = replace(PLAIN, views=8, distances=(1.0, 1000.0))
-    views = draw(7, 120, config, VisitedStates.of_teams(crowd[None]))
+    views = draw(7, 120, config, StateBuffer.of_teams(crowd[None]))
     told = np.isfinite(views.seen[:, :, 0]).sum(axis=1)
     assert told.max() == SEEN
     assert np.isfinite(views.commands).all()

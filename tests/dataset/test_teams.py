@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from triform.control import Triangulating, TriangulatingLaw
-from triform.dataset import SceneConfig, TeamStates, VisitedStates, draw_states, fresh_inputs, label_states
-from triform.policy import GnnConfig, NetworkConfig, PolicySpec, TeamGraph
+from triform.dataset import SceneConfig, StateBuffer, TeamStates, draw_states, fresh_inputs, label_states
+from triform.policy import GnnConfig, NetworkConfig, PolicySpec, RadiusGraph
 from triform.types import MapConfig, PrivilegedView, Scan, ScanConfig
 
 REACH = 2.1
 
 
 def some_states(seed: int, robots: int = 200) -> TeamStates:
-    visited = VisitedStates.of_teams(np.random.default_rng(seed).uniform(0, 4, (6, 9, 2)))
+    visited = StateBuffer.of_teams(np.random.default_rng(seed).uniform(0, 4, (6, 9, 2)))
     return draw_states(np.random.default_rng(seed), robots, SceneConfig(placed=0.5), visited)
 
 
@@ -30,7 +30,7 @@ def test_states_are_whole_teams_and_functions_of_the_generator() -> None:
 
 
 def test_without_visited_states_all_are_placements() -> None:
-    states = draw_states(np.random.default_rng(0), 100, SceneConfig(), VisitedStates.none())
+    states = draw_states(np.random.default_rng(0), 100, SceneConfig(), StateBuffer.none())
     sizes = np.diff(states.offsets)
     assert SceneConfig().sizes[0] <= sizes.min()
     assert sizes.max() <= SceneConfig().sizes[1]
@@ -93,7 +93,7 @@ def test_a_shorter_reach_leaves_out_edges_and_nothing_else() -> None:
 def test_fresh_inputs_are_what_the_network_reads(kind: str) -> None:
     network = GnnConfig() if kind == "teams" else NetworkConfig()
     given = fresh_inputs(np.random.default_rng(0), 30, PolicySpec(network, ScanConfig(), MapConfig()))
-    if isinstance(given, TeamGraph):
+    if isinstance(given, RadiusGraph):
         assert kind == "teams"
         assert given.robots >= 30
     else:

@@ -19,7 +19,7 @@ import pytest
 from triform.cli import main
 from triform.dataset import CollectionConfig, collect
 from triform.engines import LocalEngine, open_engine
-from triform.evaluation import EvaluateConfig, evaluate
+from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.types import TriformError
 
 SMALL = CollectionConfig(

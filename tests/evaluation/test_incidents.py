@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import hexagon
 from scipy.spatial.distance import cdist
 
+from tests.formations import hexagon
 from triform.evaluation import Scenario, measure
 from triform.evaluation.incidents import INCIDENTS, MEETING, incident_starts, push_out, run_incident
-from triform.simulation import IDEAL, World, linked, starts
+from triform.simulation import IDEAL, World, is_connected, sample_starts
 
 SCENARIO = Scenario(controller="expert-odd", duration=12.0)
 MOMENT, RUNS, SEED = 6.0, 4, 3
@@ -50,14 +50,14 @@ def test_teams_that_meet_are_linked_and_just_within_sight(distance):
         those, others = start[: MEETING[0], :2], start[MEETING[0] :, :2]
         assert cdist(those, others).min() == pytest.approx(1.9 * distance)
         for team in (those, others):
-            assert linked(np.ascontiguousarray(team), 2 * distance)
+            assert is_connected(np.ascontiguousarray(team), 2 * distance)
     np.testing.assert_allclose(poses[..., :2].mean(axis=1), 0, atol=1e-12)
     np.testing.assert_array_equal(incident_starts("meet", scenario, 9, 2, SEED, first=7), poses[7:9])
 
 
 def test_other_incidents_begin_like_any_run():
     for incident in (None, "stuck", "leaves", "pushed"):
-        np.testing.assert_array_equal(incident_starts(incident, SCENARIO, 6, 2, SEED, 1), starts(6, 2, SEED, 1))
+        np.testing.assert_array_equal(incident_starts(incident, SCENARIO, 6, 2, SEED, 1), sample_starts(6, 2, SEED, 1))
 
 
 def test_a_pushed_robot_jumps_outwards_and_nobody_else_does(runs):

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from conftest import PERIOD, hexagon, still
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from tests.formations import PERIOD, hexagon, still
 from triform.evaluation import converge_time, measure, summarise, trailing_mean
 from triform.evaluation.metrics import closest, concatenate, select
 from triform.types import ConfigurationError

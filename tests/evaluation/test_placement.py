@@ -8,10 +8,11 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from triform.evaluation import ChangedRuns, DynamicConfig, Scenario, run_changes
+from triform.evaluation import Scenario
 from triform.evaluation.placement import blocked_starts, sample_clear_addition, walled_off
 from triform.evaluation.scenario import world_seeds
-from triform.simulation import Arena, World, get_arena, get_profile, sample_addition, starts
+from triform.experiments.dynamic import ChangedRuns, DynamicConfig, run_changes
+from triform.simulation import Arena, World, get_arena, get_profile, sample_addition, sample_starts
 from triform.types import ConfigurationError, TriformError
 
 ROOM = get_arena("room-6")
@@ -64,7 +65,7 @@ def test_blocked_starts_are_counted_in_one_sentence(check):
 @pytest.mark.parametrize("arena", ["open", "room-6", "pillars"])
 def test_starts_of_up_to_thirteen_robots_fit_into_every_arena(arena):
     for robots in (4, 13):
-        Scenario(controller="expert", arena=arena, profile="hardware").check_starts(starts(robots, 50, 7))
+        Scenario(controller="expert", arena=arena, profile="hardware").check_starts(sample_starts(robots, 50, 7))
 
 
 def test_a_robot_joins_inside_the_room_and_clear_of_everything():

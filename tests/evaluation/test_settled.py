@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import PERIOD, hexagon, still
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
+from tests.formations import PERIOD, hexagon, still
 from triform.evaluation import Trajectory, measure, summarise
 from triform.evaluation.metrics import settle, wilson_interval
 from triform.geometry import assess

@@ -10,7 +10,7 @@ import torch
 from triform.policy import CnnConfig, PolicyRuntime, PolicySpec, pack, read_spec
 from triform.policy.cnn import ConvolutionalNetwork, dense_maps
 from triform.policy.export import export_policy
-from triform.policy.team_runtime import TeamRuntime
+from triform.policy.gnn_runtime import GnnRuntime
 from triform.policy.vit import token_batch
 from triform.policy.weights import load_policy, save_policy
 from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError
@@ -111,7 +111,7 @@ def test_eight_bits_give_nearly_the_same_commands(exported: Path, tmp_path: Path
 
 def test_other_kinds_of_network_are_refused(exported: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="a graph network is needed"):
-        TeamRuntime(exported)
+        GnnRuntime(exported)
     with pytest.raises(ConfigurationError, match="not packed for the network"):
         PolicyRuntime(exported).commands(pack(some_maps(2), 5))
     folder = tmp_path / "foreign"

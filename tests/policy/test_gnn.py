@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from triform.policy import GnnConfig, PolicyRuntime, PolicySpec, TeamGraph, TeamRuntime, hear
+from triform.policy import GnnConfig, GnnRuntime, PolicyRuntime, PolicySpec, RadiusGraph, hear
 from triform.policy.export import export_policy
 from triform.policy.gnn import GraphNetwork, team_batch
 from triform.policy.weights import load_policy, save_policy
@@ -34,11 +34,11 @@ def some_poses(seed: int, robots: int, side: float = 4.0) -> np.ndarray:
     return np.column_stack([rng.uniform(0, side, (robots, 2)), rng.uniform(-np.pi, np.pi, robots)])
 
 
-def one_team(poses: np.ndarray) -> TeamGraph:
+def one_team(poses: np.ndarray) -> RadiusGraph:
     return hear(poses, np.array([0, len(poses)]), np.array([0.14]), SMALL.reach)
 
 
-def run(net: GraphNetwork, teams: TeamGraph) -> np.ndarray:
+def run(net: GraphNetwork, teams: RadiusGraph) -> np.ndarray:
     with torch.no_grad():
         return net(team_batch(teams)).numpy()
 
@@ -123,14 +123,14 @@ def test_gradients_reach_every_weight() -> None:
 def test_onnx_runtime_equals_pytorch(exported: Path) -> None:
     net, spec = load_policy(exported)
     assert spec.network == SMALL
-    runtime = TeamRuntime(exported)
+    runtime = GnnRuntime(exported)
     for robots in (1, 2, 7, 50):
         graph = one_team(some_poses(robots, robots))
         np.testing.assert_allclose(runtime.commands(graph), run(net, graph), atol=1e-4)
 
 
 def test_what_a_team_gets_does_not_depend_on_the_others(exported: Path) -> None:
-    runtime, sizes = TeamRuntime(exported), np.array([1, 2, 5, 1, 13, 8])
+    runtime, sizes = GnnRuntime(exported), np.array([1, 2, 5, 1, 13, 8])
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     poses = some_poses(5, offsets[-1])
     together = runtime.commands(hear(poses, offsets, np.full(6, 0.14), SMALL.reach))
@@ -140,7 +140,7 @@ def test_what_a_team_gets_does_not_depend_on_the_others(exported: Path) -> None:
 
 def test_nobody_gets_nothing(exported: Path) -> None:
     nobody = hear(np.empty((0, 3)), np.array([0]), np.empty(0), 2.0)
-    assert TeamRuntime(exported).commands(nobody).shape == (0, 4)
+    assert GnnRuntime(exported).commands(nobody).shape == (0, 4)
 
 
 def test_wrong_input_is_refused(exported: Path) -> None:
@@ -148,7 +148,7 @@ def test_wrong_input_is_refused(exported: Path) -> None:
         PolicyRuntime(exported)
     graph = one_team(some_poses(0, 4))
     with pytest.raises(ConfigurationError, match="each end must be a robot"):
-        TeamRuntime(exported).commands(replace(graph, robots=3))
+        GnnRuntime(exported).commands(replace(graph, robots=3))
     with pytest.raises(ConfigurationError, match="growing offsets"):
         hear(some_poses(0, 4), np.array([0, 3]), np.array([0.1]), 2.0)
     with pytest.raises(ConfigurationError, match="in float32 only"):

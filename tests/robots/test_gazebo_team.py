@@ -9,16 +9,16 @@ import pytest
 
 from triform.cli import main
 from triform.control import drive, make_controller
-from triform.evaluation import ChangedRuns, DynamicConfig, EvaluateConfig, evaluate, run_changes
-from triform.evaluation.evaluate import start_groups
 from triform.evaluation.scenario import Scenario, world_seeds
+from triform.experiments.dynamic import ChangedRuns, DynamicConfig, run_changes
+from triform.experiments.evaluate import EvaluateConfig, evaluate, start_groups
 from triform.robots.gazebo import GazeboServer, GazeboTeam, Installation
 from triform.robots.gazebo.sdf import MAX_ACCELERATION
-from triform.simulation import HARDWARE, IDEAL, Arena, World, starts
+from triform.simulation import HARDWARE, IDEAL, Arena, World, sample_starts
 from triform.types import ConfigurationError, TriformError
 
 ROBOTS = 5
-START = starts(ROBOTS, 1, 3)
+START = sample_starts(ROBOTS, 1, 3)
 SEEDS = [np.random.SeedSequence(5)]
 OPEN = Arena.open()
 
@@ -34,8 +34,8 @@ def test_a_first_view_is_that_of_the_built_in_world(gazebo):
         seen, expected = GazeboTeam(server, START, SEEDS).observe(), World(START, IDEAL, seeds=SEEDS).observe()
     assert close(seen.scans.ranges, expected.scans.ranges)
     np.testing.assert_allclose(seen.poses, expected.poses, atol=1e-9)
-    np.testing.assert_array_equal(seen.push, expected.push)
-    np.testing.assert_allclose(seen.moved, 0.0, atol=1e-9)
+    np.testing.assert_array_equal(seen.noise, expected.noise)
+    np.testing.assert_allclose(seen.odometry, 0.0, atol=1e-9)
     assert seen.active.all()
     assert seen.time == 0.0
 

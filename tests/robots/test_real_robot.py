@@ -83,7 +83,7 @@ def test_nothing_is_seen_and_nothing_driven_before_the_first_turn() -> None:
     assert view.scans.ranges.shape == (1, 1, 90)
     assert np.isposinf(view.scans.ranges).all()
     assert view.active.tolist() == [[True]]
-    assert view.moved is None
+    assert view.odometry is None
     robot.apply(np.full((1, 1, 3), 0.05), 0.01)
     np.testing.assert_array_equal(base.commands, [np.zeros(3)])
 
@@ -117,27 +117,27 @@ def test_moved_is_where_the_robot_is_seen_from_the_middle_of_the_turn(
     turn = Turn(np.ones(SCAN.rays, np.float32), now - age - length, now - age)
     robot = make_robot(FakeLidar(turn), base)
     before = time.monotonic()
-    moved = robot.observe().moved
+    odometry = robot.observe().odometry
     after = time.monotonic()
     middle = now - age - length / 2
     earliest, latest = (integrate(np.zeros(3), base.twist, at - middle) for at in (before, after))
     slack = 1e-9 + np.abs(base.twist).max() * (after - before) * 2
-    assert moved is not None
-    assert np.abs(moved[0, 0] - earliest).max() <= slack + np.abs(latest - earliest).max()
+    assert odometry is not None
+    assert np.abs(odometry[0, 0] - earliest).max() <= slack + np.abs(latest - earliest).max()
 
 
 def test_no_odometry_where_the_base_does_not_know_or_nobody_wants_it() -> None:
     lidar = FakeLidar(fresh_turn())
-    assert make_robot(lidar, FakeBase(knows=False)).observe().moved is None
-    assert make_robot(lidar, FakeBase(), odometry=False).observe().moved is None
-    assert make_robot(lidar, None).observe().moved is None
-    assert make_robot(lidar, FakeBase()).observe().moved is not None
+    assert make_robot(lidar, FakeBase(knows=False)).observe().odometry is None
+    assert make_robot(lidar, FakeBase(), odometry=False).observe().odometry is None
+    assert make_robot(lidar, None).observe().odometry is None
+    assert make_robot(lidar, FakeBase()).observe().odometry is not None
 
 
 def test_pushes_are_those_of_its_own_seed_and_small_for_a_slow_base() -> None:
-    slow = RealRobot(FakeLidar(), None, 0.1, 5, LIMITS).observe().push
-    fast = RealRobot(FakeLidar(), None, 0.1, 5, Drive()).observe().push
-    other = RealRobot(FakeLidar(), None, 0.1, 6, LIMITS).observe().push
+    slow = RealRobot(FakeLidar(), None, 0.1, 5, LIMITS).observe().noise
+    fast = RealRobot(FakeLidar(), None, 0.1, 5, Drive()).observe().noise
+    other = RealRobot(FakeLidar(), None, 0.1, 6, LIMITS).observe().noise
     np.testing.assert_allclose(slow, 0.2 * fast)
     assert (slow != other).all()
 

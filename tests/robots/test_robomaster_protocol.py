@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from triform.robots.odometry import EXTRAPOLATION, Track
-from triform.robots.robomaster.keeper import STOP, answers
 from triform.robots.robomaster.protocol import pushed, read_pushed, speed_command, twist_of_speeds, twist_of_wheels
+from triform.robots.robomaster.watchdog import STOP, answers
 
 
 @pytest.mark.parametrize(

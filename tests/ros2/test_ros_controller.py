@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.ros2.conftest import Executable, Ros
-from triform.control import Guard, Guarded, make_controller
+from triform.control import SafetyFilter, SafetySettings, make_controller
 from triform.perception import occupancy_maps
 from triform.types import MapConfig, Scan, ScanConfig, View
 
@@ -78,7 +78,7 @@ def twist(message: Any) -> list[float]:
 
 def expected(ranges: np.ndarray) -> np.ndarray:
     """What the guarded controller answers to a scan, later in a run, cut to 0.5 m/s."""
-    controller = Guarded(make_controller("scan-pipeline"), Guard(max_speed=0.5))
+    controller = SafetyFilter(make_controller("scan-pipeline"), SafetySettings(max_speed=0.5))
     view = View(Scan(ranges[None, None], GRID), np.ones((1, 1), dtype=bool), 10.0)
     command = controller.command(view)[0, 0]
     return command * min(1.0, 0.5 / np.hypot(*command[:2]))

@@ -23,7 +23,7 @@ from triform.simulation import (
     cast_scans,
     cast_world,
     get_arena,
-    starts,
+    sample_starts,
 )
 from triform.simulation import lidar as lidar_module
 from triform.simulation import world as world_module
@@ -123,7 +123,7 @@ def test_runs_of_large_teams_do_not_depend_on_threads_or_batch(
         (world_module, "RECORDS_PER_THREAD"),
     ):
         monkeypatch.setattr(module, name, 1)
-    poses = starts(200, 2, 5)
+    poses = sample_starts(200, 2, 5)
     commands = np.random.default_rng(0).normal(0, 0.2, poses.shape)
 
     def history(first: int, last: int, threads: int) -> list[Array]:
@@ -145,11 +145,11 @@ def test_runs_of_large_teams_do_not_depend_on_threads_or_batch(
 
 
 def test_scans_are_kept_in_single_precision_and_not_twice() -> None:
-    world = World(starts(50, 1, 1), IDEAL)
+    world = World(sample_starts(50, 1, 1), IDEAL)
     ranges = world.observe().scans.ranges
     assert ranges.dtype == np.float32
     assert world.observe().scans.ranges is ranges
-    waiting = World(starts(50, 1, 1), HARDWARE, seeds=[1]).observe().scans.ranges
+    waiting = World(sample_starts(50, 1, 1), HARDWARE, seeds=[1]).observe().scans.ranges
     assert waiting.shape == (1, 50, 667)
     assert (waiting == np.inf).all()
     # One number stands for all the rays that have not been measured.

@@ -25,7 +25,7 @@ from triform.simulation import (
     cast_world,
     constant_noise,
     noise_sigma,
-    starts,
+    sample_starts,
 )
 from triform.simulation.lidar import scan_rays
 from triform.types import ConfigurationError, ScanConfig
@@ -222,7 +222,7 @@ def test_a_room_is_seen_in_closed_form() -> None:
 
 
 def test_batched_equals_looped_and_rotation_does_not_matter() -> None:
-    poses = starts(6, 4, 3)
+    poses = sample_starts(6, 4, 3)
     active = np.ones((4, 6), dtype=bool)
     active[1, 2] = False
     ranges = cast_scans(poses, active, ROBOMASTER_EP, Arena.open(), CONFIG)

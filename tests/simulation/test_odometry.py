@@ -15,7 +15,7 @@ from triform.control import drive as drive_team
 from triform.control import make_controller
 from triform.control.scan_packer import ScanPacker
 from triform.policy import PackedMaps
-from triform.simulation import IDEAL, Drive, Footprint, Profile, World, integrate, starts, steer
+from triform.simulation import IDEAL, Drive, Footprint, Profile, World, integrate, sample_starts, steer
 from triform.simulation.odometry import relative_poses, resting_poses
 from triform.types import MapConfig, ScanConfig, View
 
@@ -64,10 +64,10 @@ def dense(packed: PackedMaps, config: MapConfig, patch: int) -> np.ndarray:
 
 
 def maps_of(view: View, *, shifted: bool) -> np.ndarray:
-    assert view.moved is not None
+    assert view.odometry is not None
     config = MapConfig()
     packer = ScanPacker(view.scans.config, config, 10)
-    moved = view.moved.reshape(-1, 3) if shifted else None
+    moved = view.odometry.reshape(-1, 3) if shifted else None
     return dense(packer.pack(view.scans.ranges.reshape(-1, view.scans.config.rays), moved), config, 10)
 
 
@@ -102,9 +102,9 @@ def test_an_old_scan_is_drawn_where_the_robot_is_now(seed: int, latency: float, 
     for _ in range(6):
         world.apply(commands, 0.1)
     view = world.observe()
-    assert view.moved is not None
+    assert view.odometry is not None
     then = integrate(poses, commands, 0.6 - 0.1 * np.ceil(latency / 0.1 - 1e-6))
-    np.testing.assert_allclose(view.moved[0], relative_poses(world.poses[0], then[0], np.ones(5, bool)), atol=1e-9)
+    np.testing.assert_allclose(view.odometry[0], relative_poses(world.poses[0], then[0], np.ones(5, bool)), atol=1e-9)
     fresh = World(world.poses, ROUND).observe()
     shifted = maps_of(view, shifted=True)[0]
     assert shifted.any()
@@ -121,8 +121,8 @@ def test_at_rest_maps_keep_every_bit(latency: float) -> None:
     for _ in range(5):
         world.apply(np.zeros((1, 5, 3)), 0.1)
         view = world.observe()
-        assert view.moved is not None
-        assert not view.moved.any()
+        assert view.odometry is not None
+        assert not view.odometry.any()
         np.testing.assert_array_equal(maps_of(view, shifted=True), maps_of(view, shifted=False))
     assert maps_of(view, shifted=True).any(axis=(1, 2)).all()
 
@@ -137,7 +137,7 @@ def test_a_rolling_scan_shows_the_middle_of_its_turn(rate: float) -> None:
     for _ in range(7):
         world.apply(commands, 0.1)
     # At 0.7 s the newest scan that is ready was finished at 0.6 s and shows the turn from 0.4 s on.
-    moved = world.observe().moved
+    moved = world.observe().odometry
     begin, end = (integrate(poses, commands, time) for time in (0.4, 0.6))
     middle = (begin + end) / 2
     middle[..., 2] = begin[..., 2] + rate * 0.1
@@ -153,7 +153,7 @@ def test_until_a_scan_is_ready_the_way_is_counted_from_the_start() -> None:
     world.apply(commands, 0.5)
     view = world.observe()
     assert np.isinf(view.scans.ranges).all()
-    np.testing.assert_allclose(view.moved, relative_poses(world.poses, poses, view.active), atol=1e-12)
+    np.testing.assert_allclose(view.odometry, relative_poses(world.poses, poses, view.active), atol=1e-12)
 
 
 @settings(deadline=None, max_examples=40)
@@ -182,6 +182,6 @@ def test_robots_that_stop_at_once_rest_where_they_are() -> None:
 @pytest.mark.parametrize("slow", [{"lag": 0.15}, {"max_acceleration": 1.5}])
 def test_a_team_whose_wheels_do_not_stop_at_once_settles(slow: dict[str, float]) -> None:
     """Steered from where robots are now, instead of where they would rest, these teams swing for ever."""
-    world = World(starts(9, 4, 3), replace(IDEAL, drive=replace(IDEAL.drive, **slow)), seeds=range(4))
+    world = World(sample_starts(9, 4, 3), replace(IDEAL, drive=replace(IDEAL.drive, **slow)), seeds=range(4))
     drive_team(world, make_controller("policy"), 30.0)
     assert np.median(np.linalg.norm(world.velocities[..., :2], axis=-1)) < 0.005

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist, squareform
 from scipy.stats import kstest
 
-from triform.simulation import linked, load_starts, sample_addition, square_side, starts
+from triform.simulation import is_connected, load_starts, sample_addition, sample_starts, square_side
 from triform.types import ConfigurationError, TriformError
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @pytest.mark.parametrize(("robots", "side"), [(1, 5), (2, 5), (4, 4), (7, 5), (13, 5), (20, 6.2018), (30, 7.5955)])
 def test_starts_keep_the_protocol(robots: int, side: float) -> None:
-    poses = starts(robots, 40, 7)
+    poses = sample_starts(robots, 40, 7)
     assert poses.shape == (40, robots, 3)
     assert square_side(robots) == pytest.approx(side, abs=1e-4)
     assert np.abs(poses[..., :2]).max() <= side / 2 + 1e-4
@@ -34,14 +34,14 @@ def test_starts_keep_the_protocol(robots: int, side: float) -> None:
 
 
 def test_a_start_depends_on_robots_seed_and_index_alone() -> None:
-    whole = starts(6, 10, 3)
-    np.testing.assert_array_equal(starts(6, 4, 3, first=5), whole[5:9])
-    assert not np.array_equal(starts(6, 10, 4), whole)
+    whole = sample_starts(6, 10, 3)
+    np.testing.assert_array_equal(sample_starts(6, 4, 3, first=5), whole[5:9])
+    assert not np.array_equal(sample_starts(6, 10, 4), whole)
     assert len(np.unique(whole[:, 0, 0])) == 10
 
 
 def test_large_teams_can_start() -> None:
-    poses = starts(200, 1, 1)[0]
+    poses = sample_starts(200, 1, 1)[0]
     assert pdist(poses[:, :2]).min() >= 0.5
     # They fill the square evenly: quarters hold about 50 each.
     quarters = np.histogram2d(poses[:, 0], poses[:, 1], bins=2)[0]
@@ -54,12 +54,12 @@ def test_large_teams_can_start() -> None:
     [(5, "7164c18a7008"), (13, "eb25a6ee6ba2"), (25, "f3297ad72136"), (100, "76ab035b1d0c"), (900, "7b14bbd38b06")],
 )
 def test_starts_are_what_they_always_were(robots: int, digest: str) -> None:
-    assert hashlib.sha256(starts(robots, 2, 7).tobytes()).hexdigest()[:12] == digest
+    assert hashlib.sha256(sample_starts(robots, 2, 7).tobytes()).hexdigest()[:12] == digest
 
 
 @pytest.mark.parametrize("robots", [1001, 5000])
 def test_very_large_teams_keep_the_protocol_too(robots: int) -> None:
-    poses = starts(robots, 1, 3)[0]
+    poses = sample_starts(robots, 1, 3)[0]
     tree = cKDTree(poses[:, :2])
     assert not tree.query_pairs(np.nextafter(0.5, 0))
     pairs = tree.query_pairs(2.0, output_type="ndarray")
@@ -69,40 +69,40 @@ def test_very_large_teams_keep_the_protocol_too(robots: int) -> None:
     assert np.abs(poses[:, :2]).max() <= half
     for axis in range(2):
         assert kstest(poses[:, axis], "uniform", (-half, 2 * half)).pvalue > 1e-3
-    np.testing.assert_array_equal(starts(robots, 2, 3)[0], poses)
+    np.testing.assert_array_equal(sample_starts(robots, 2, 3)[0], poses)
 
 
 def test_a_large_team_in_a_wide_square_is_linked_all_the_same() -> None:
-    poses = starts(1100, 1, 1, side=120.0)[0]
-    assert linked(np.ascontiguousarray(poses[:, :2]), 2.0)
+    poses = sample_starts(1100, 1, 1, side=120.0)[0]
+    assert is_connected(np.ascontiguousarray(poses[:, :2]), 2.0)
 
 
 @pytest.mark.parametrize("distance", [0.6, 0.8, 1.25, 1.5])
 @pytest.mark.parametrize("robots", [4, 7, 13, 20, 50])
 def test_starts_grow_with_the_prescribed_distance(robots: int, distance: float) -> None:
-    poses = starts(robots, 20, 7, distance=distance)
+    poses = sample_starts(robots, 20, 7, distance=distance)
     assert square_side(robots, distance) == pytest.approx(distance * square_side(robots))
     assert np.abs(poses[..., :2]).max() <= square_side(robots, distance) / 2
     for start in poses:
         distances = pdist(start[:, :2])
         assert distances.min() >= max(0.5, 0.5 * distance)
         assert connected_components(squareform(distances) <= 2.0 * distance)[0] == 1
-    np.testing.assert_array_equal(starts(robots, 1, 7, first=3, distance=distance)[0], poses[3])
+    np.testing.assert_array_equal(sample_starts(robots, 1, 7, first=3, distance=distance)[0], poses[3])
 
 
 def test_a_scaled_start_is_the_same_start_scaled() -> None:
-    np.testing.assert_array_equal(starts(7, 5, 7, distance=1.0), starts(7, 5, 7))
-    np.testing.assert_allclose(starts(7, 5, 7, distance=1.5)[..., :2], 1.5 * starts(7, 5, 7)[..., :2])
+    np.testing.assert_array_equal(sample_starts(7, 5, 7, distance=1.0), sample_starts(7, 5, 7))
+    np.testing.assert_allclose(sample_starts(7, 5, 7, distance=1.5)[..., :2], 1.5 * sample_starts(7, 5, 7)[..., :2])
 
 
 def test_the_square_of_small_distances_keeps_room_for_the_robots() -> None:
     assert square_side(13, 0.6) == pytest.approx(3.0)
     assert square_side(13, 0.5) == square_side(13, 0.6)
-    assert pdist(starts(7, 1, 1, distance=0.5)[0, :, :2]).min() >= 0.5
+    assert pdist(sample_starts(7, 1, 1, distance=0.5)[0, :, :2]).min() >= 0.5
 
 
 def test_a_single_robot_is_uniform() -> None:
-    poses = starts(1, 2000, 5)[:, 0]
+    poses = sample_starts(1, 2000, 5)[:, 0]
     for values, half in [(poses[:, 0], 2.5), (poses[:, 1], 2.5), (poses[:, 2], np.pi)]:
         assert kstest(values, "uniform", (-half, 2 * half)).pvalue > 1e-3
 
@@ -110,21 +110,21 @@ def test_a_single_robot_is_uniform() -> None:
 @pytest.mark.parametrize(("robots", "runs", "seed", "side"), [(0, 1, 1, None), (2, -1, 1, None), (2, 1, -1, None)])
 def test_impossible_requests_are_refused(robots: int, runs: int, seed: int, side: float | None) -> None:
     with pytest.raises(ConfigurationError):
-        starts(robots, runs, seed, side=side)
+        sample_starts(robots, runs, seed, side=side)
 
 
 def test_a_square_without_room_is_refused() -> None:
     with pytest.raises(TriformError, match="no start of 9 robots"):
-        starts(9, 1, 1, side=0.6)
+        sample_starts(9, 1, 1, side=0.6)
     with pytest.raises(ConfigurationError, match="side"):
-        starts(9, 1, 1, side=0.0)
+        sample_starts(9, 1, 1, side=0.0)
     with pytest.raises(ConfigurationError, match="distance"):
-        starts(9, 1, 1, distance=0.0)
+        sample_starts(9, 1, 1, distance=0.0)
 
 
 def test_additions_are_near_but_not_too_near() -> None:
     rng = np.random.default_rng(2)
-    poses = starts(7, 1, 2)[0]
+    poses = sample_starts(7, 1, 2)[0]
     active = np.array([True] * 6 + [False])
     places = np.array([sample_addition(poses, active, rng) for _ in range(300)])
     nearest = np.linalg.norm(places[:, None, :2] - poses[None, :6, :2], axis=-1).min(axis=1)
@@ -145,7 +145,7 @@ def test_additions_are_uniform_in_area() -> None:
 @pytest.mark.parametrize("distance", [0.6, 1.5])
 def test_additions_keep_the_prescribed_distance_too(distance: float) -> None:
     rng = np.random.default_rng(4)
-    poses = starts(5, 1, 2, distance=distance)[0]
+    poses = sample_starts(5, 1, 2, distance=distance)[0]
     places = np.array([sample_addition(poses, np.ones(5, dtype=bool), rng, distance) for _ in range(200)])
     nearest = np.linalg.norm(places[:, None, :2] - poses[None, :, :2], axis=-1).min(axis=1)
     assert nearest.min() >= max(0.5, 0.5 * distance)

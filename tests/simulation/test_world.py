@@ -19,7 +19,7 @@ from triform.simulation import (
     cast_scans,
     get_arena,
     integrate,
-    starts,
+    sample_starts,
 )
 from triform.simulation import (
     lidar as lidar_module,
@@ -47,7 +47,7 @@ def _history(world: World, commands: Array, ticks: int = 8) -> list[Array]:
     seen = []
     for _ in range(ticks):
         view = world.observe()
-        seen += [view.poses, view.scans.ranges, world.velocities, view.push, view.moved]
+        seen += [view.poses, view.scans.ranges, world.velocities, view.noise, view.odometry]
         world.apply(commands, world.control_period)
     return [*seen, world.min_distance, world.collided, world.hit_arena]
 
@@ -64,7 +64,7 @@ def all_threads(monkeypatch: pytest.MonkeyPatch) -> int:
 
 @pytest.mark.parametrize("profile", [IDEAL, NOISY, NOISY_INSTANT], ids=["ideal", "rolling", "instant"])
 def test_runs_do_not_depend_on_threads_or_batch(profile: Profile, all_threads: int) -> None:
-    poses, commands = starts(5, 6, 11), _commands(6, 5)
+    poses, commands = sample_starts(5, 6, 11), _commands(6, 5)
     arena = get_arena("pillars")
     reference = None
     for threads in range(1, all_threads + 1):
@@ -81,7 +81,7 @@ def test_runs_do_not_depend_on_threads_or_batch(profile: Profile, all_threads: i
 
 
 def test_a_world_does_not_notice_robots_joining_another() -> None:
-    poses = starts(4, 2, 3)
+    poses = sample_starts(4, 2, 3)
     both = World(poses, NOISY, seeds=[5, 6])
     alone = World(poses[:1], NOISY, seeds=[5])
     both.apply(_commands(2, 4), 0.2)
@@ -94,8 +94,8 @@ def test_a_world_does_not_notice_robots_joining_another() -> None:
         alone.apply(commands[:1, :4], 0.125)
         seen, own = both.observe(), alone.observe()
         np.testing.assert_array_equal(seen.scans.ranges[:1, :4], own.scans.ranges)
-        np.testing.assert_array_equal(seen.push[:1, :4], own.push)
-        np.testing.assert_array_equal(seen.moved[:1, :4], own.moved)
+        np.testing.assert_array_equal(seen.noise[:1, :4], own.noise)
+        np.testing.assert_array_equal(seen.odometry[:1, :4], own.odometry)
         np.testing.assert_array_equal(both.poses[:1, :4], alone.poses)
 
 
@@ -113,18 +113,18 @@ def test_seeds_matter_and_noise_differs_between_robots() -> None:
 
 
 def test_world_moves_as_kinematics_say() -> None:
-    poses, commands = starts(5, 3, 1), _commands(3, 5)
+    poses, commands = sample_starts(5, 3, 1), _commands(3, 5)
     world = World(poses, IDEAL)
     for duration in (0.1, 0.125, 0.003):
         world.apply(commands, duration)
-    moved = integrate(poses, commands, 0.228)
-    np.testing.assert_allclose(world.poses, moved, atol=1e-12)
+    odometry = integrate(poses, commands, 0.228)
+    np.testing.assert_allclose(world.poses, odometry, atol=1e-12)
     assert world.time == pytest.approx(0.228, abs=1e-12)
     np.testing.assert_array_equal(world.velocities, commands)
 
 
 def test_instant_scans_come_at_multiples_of_the_period() -> None:
-    poses, commands = starts(4, 2, 9), _commands(2, 4)
+    poses, commands = sample_starts(4, 2, 9), _commands(2, 4)
     world = World(poses, IDEAL)
     active = np.ones((2, 4), dtype=bool)
 
@@ -142,7 +142,7 @@ def test_instant_scans_come_at_multiples_of_the_period() -> None:
 
 
 def test_every_ray_of_a_rolling_turn_is_measured_at_its_own_time() -> None:
-    poses, commands = starts(4, 1, 10), _commands(1, 4)
+    poses, commands = sample_starts(4, 1, 10), _commands(1, 4)
     commands[..., 2] = 0.0
     commands[..., :2] *= 2
     world = World(poses, ROLLING)
@@ -167,7 +167,7 @@ def test_a_robot_turning_at_the_rate_of_its_lidar_sees_one_direction() -> None:
 
 
 def test_latency_holds_scans_back() -> None:
-    world = World(starts(3, 1, 2), replace(ROLLING, latency=0.12))
+    world = World(sample_starts(3, 1, 2), replace(ROLLING, latency=0.12))
     still = np.zeros((1, 3, 3))
     exact = cast_scans(world.poses, world.active, ROBOMASTER_EP, Arena.open(), ROLLING.lidar.scan)
     world.apply(still, 0.36)
@@ -177,7 +177,7 @@ def test_latency_holds_scans_back() -> None:
 
 
 def test_turns_finish_however_the_time_is_cut() -> None:
-    poses, commands = starts(3, 1, 4), _commands(1, 3)
+    poses, commands = sample_starts(3, 1, 4), _commands(1, 3)
     ranges = []
     for parts in (1, 3, 7, 90):
         world = World(poses, ROLLING)
@@ -224,8 +224,8 @@ def test_robots_join_and_leave() -> None:
 
 
 def test_pushes_and_odometry_follow_robots_that_come_and_go() -> None:
-    world = World(starts(3, 2, 8), replace(ROLLING, latency=0.3), seeds=[1, 2])
-    reference = World(starts(3, 1, 8), IDEAL, seeds=[1])
+    world = World(sample_starts(3, 2, 8), replace(ROLLING, latency=0.3), seeds=[1, 2])
+    reference = World(sample_starts(3, 1, 8), IDEAL, seeds=[1])
     commands = np.zeros((2, 3, 3))
     commands[..., 0] = 0.2
     for tick in range(12):
@@ -238,25 +238,25 @@ def test_pushes_and_odometry_follow_robots_that_come_and_go() -> None:
             assert world.add_robot(0, [-4.0, 4.0, 0.5]) == 1
         view = world.observe()
         shape = (2, 4 if tick >= 3 else 3)
-        assert view.push.shape == (*shape, 2)
-        assert view.moved.shape == (*shape, 3)
-        assert np.isfinite(view.moved).all()
-        assert not view.moved[~view.active].any()
+        assert view.noise.shape == (*shape, 2)
+        assert view.odometry.shape == (*shape, 3)
+        assert np.isfinite(view.odometry).all()
+        assert not view.odometry[~view.active].any()
         # Who is new stands where its first scan will say, and what a robot draws does not hang on the others.
         if tick in (3, 9):
-            assert not view.moved[0, 3 if tick == 3 else 1].any()
-        np.testing.assert_array_equal(view.push[0, :3], reference.observe().push[0])
+            assert not view.odometry[0, 3 if tick == 3 else 1].any()
+        np.testing.assert_array_equal(view.noise[0, :3], reference.observe().noise[0])
         world.apply(commands, 0.1)
         reference.apply(np.zeros((1, 3, 3)), 0.1)
-    assert world.observe().moved[0, 0, 0] > 0.0
-    assert len(np.unique([view.push[0, 0, 0], view.push[0, 3, 0], view.push[1, 0, 0]])) == 3
+    assert world.observe().odometry[0, 0, 0] > 0.0
+    assert len(np.unique([view.noise[0, 0, 0], view.noise[0, 3, 0], view.noise[1, 0, 0]])) == 3
 
 
 def test_pushes_change_every_half_second() -> None:
-    world = World(starts(2, 1, 1), IDEAL, seeds=[4])
+    world = World(sample_starts(2, 1, 1), IDEAL, seeds=[4])
     drawn = []
     for _ in range(15):
-        drawn.append(world.observe().push[0, 0, 0])
+        drawn.append(world.observe().noise[0, 0, 0])
         world.apply(np.zeros((1, 2, 3)), 0.1)
     assert len(set(drawn)) == 3
     assert drawn == sorted(drawn, key=drawn.index)
@@ -264,8 +264,8 @@ def test_pushes_change_every_half_second() -> None:
 
 
 def test_a_view_refuses_pushes_and_odometry_of_another_shape() -> None:
-    view = World(starts(2, 1, 1), IDEAL).observe()
-    for name, width in (("push", 2), ("moved", 3)):
+    view = World(sample_starts(2, 1, 1), IDEAL).observe()
+    for name, width in (("noise", 2), ("odometry", 3)):
         for shape in ((1, 2, width + 1), (1, 3, width), (2, width)):
             with pytest.raises(ConfigurationError, match=f"a view has {name} of shape"):
                 replace(view, **{name: np.zeros(shape)})
@@ -286,7 +286,7 @@ def test_who_joins_during_a_turn_has_no_past() -> None:
 
 
 def test_a_leaver_is_gone_from_scans_under_way() -> None:
-    world = World(starts(3, 1, 1), NOISY, seeds=[1])
+    world = World(sample_starts(3, 1, 1), NOISY, seeds=[1])
     world.apply(np.zeros((1, 3, 3)), 0.25)
     world.remove_robot(0, 1)
     for _ in range(3):
@@ -295,7 +295,7 @@ def test_a_leaver_is_gone_from_scans_under_way() -> None:
 
 
 def test_bad_commands_and_durations_are_refused() -> None:
-    world = World(starts(2, 2, 1), IDEAL)
+    world = World(sample_starts(2, 2, 1), IDEAL)
     commands = np.zeros((2, 2, 3))
     for value in (np.nan, np.inf):
         commands[1, 0, 2] = value

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from triform.control import TriangulatingLaw
-from triform.dataset import SceneConfig, VisitedStates, draw_views
+from triform.dataset import SceneConfig, StateBuffer, draw_views
 from triform.policy import NetworkConfig, pack
 from triform.training import TrainConfig
-from triform.training.auxiliary import fact_loss, token_loss, token_targets
+from triform.training.auxiliary import feature_loss, token_loss, token_targets
 from triform.training.batches import SceneSource
 from triform.training.flat import FlatParameters
 from triform.training.loop import Learner, command_loss, learning_rate, make_optimizer
@@ -32,7 +32,7 @@ CONFIG = TrainConfig(
 def test_every_token_is_told_of_the_robot_nearest_to_its_cells() -> None:
     config, patch = MapConfig(), 10
     views = draw_views(
-        np.random.default_rng(1), 60, TriangulatingLaw(), SceneConfig(), VisitedStates.none(), ScanConfig(), config
+        np.random.default_rng(1), 60, TriangulatingLaw(), SceneConfig(), StateBuffer.none(), ScanConfig(), config
     )
     packed = pack(views.maps, patch)
     targets, valid = token_targets(packed, views.seen, config, patch)
@@ -71,7 +71,7 @@ def test_losses_are_their_definitions() -> None:
     predicted, facts = rng.normal(size=(9, 5)), np.concatenate([rng.random((9, 3)), rng.normal(size=(9, 2))], axis=1)
     gates = bernoulli(predicted[:, :3], facts[:, :3]).sum()
     rest = ((predicted[:, 3:] - facts[:, 3:]) ** 2).sum()
-    assert float(fact_loss(torch.tensor(predicted), torch.tensor(facts))) == pytest.approx(0.1 * (gates + rest))
+    assert float(feature_loss(torch.tensor(predicted), torch.tensor(facts))) == pytest.approx(0.1 * (gates + rest))
 
     predicted = rng.normal(size=(9, 6))
     targets = np.concatenate([rng.normal(size=(9, 4)), rng.integers(0, 2, (9, 2))], axis=1)

@@ -8,15 +8,15 @@ import pytest
 import torch
 
 from triform.control import TriangulatingLaw
-from triform.dataset import SceneConfig, VisitedStates, fresh_inputs
-from triform.policy import CnnConfig, GnnConfig, Network, NetworkConfig, TeamGraph
+from triform.dataset import SceneConfig, StateBuffer, fresh_inputs
+from triform.policy import CnnConfig, GnnConfig, Network, NetworkConfig, RadiusGraph
 from triform.policy.export import export_policy
 from triform.training import TrainConfig, batches, get_preset, train, visits
 from triform.training.batches import TrainBatch, open_source
+from triform.training.dagger import Rollouts
 from triform.training.flat import FlatParameters
 from triform.training.loop import Learner, make_optimizer
 from triform.training.processes import Processes
-from triform.training.visits import Visit
 from triform.types import ConfigurationError, TriformError
 
 NETWORKS: dict[str, Network] = {
@@ -69,14 +69,14 @@ def test_one_batch_can_be_learned_by_heart(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["cnn", "gnn"])
 def test_training_visits_exports_and_continues(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = (Visit(4, 3, 3.0),)
+    few = (Rollouts(4, 3, 3.0),)
     teacher = visits.teacher_states
     monkeypatch.setattr(visits, "teacher_states", lambda law, seed: teacher(law, seed, few))
     learner = visits.learner_states
     monkeypatch.setattr(visits, "learner_states", lambda *given: learner(*given, few))
     config = tiny(kind)
     best = train(config, tmp_path / "run")
-    states = [VisitedStates.load(tmp_path / "run" / f"visited-{number}.npz") for number in range(2)]
+    states = [StateBuffer.load(tmp_path / "run" / f"visited-{number}.npz") for number in range(2)]
     assert all(len(each) > 5 for each in states)
     fresh = fresh_inputs(np.random.default_rng(0), 50, config.spec())
     assert export_policy(best, fresh).largest <= 1e-4
@@ -87,7 +87,7 @@ def test_training_visits_exports_and_continues(kind: str, tmp_path: Path, monkey
 def test_a_mini_batch_of_teams_has_as_many_robots_as_one_of_maps() -> None:
     config = tiny("gnn")
     batch = next(open_source(config, None).batches(0))()
-    assert isinstance(batch.packed, TeamGraph)
+    assert isinstance(batch.packed, RadiusGraph)
     assert batch.maps == len(batch.commands) == len(batch.facts) == config.batch_maps
     assert config.batch_maps <= batch.packed.robots < config.batch_maps + 8
     assert len(batch.targets) == len(batch.valid) == len(batch.packed.receivers)

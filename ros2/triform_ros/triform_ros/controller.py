@@ -11,7 +11,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from triform.control import Guard, Guarded, drive, make_controller, weights_folder
+from triform.control import SafetyFilter, SafetySettings, drive, make_controller, weights_folder
 from triform.control.detection import ROBOMASTER_EP_SIZE
 from triform.policy import read_spec
 from triform.robots.real import RealRobot
@@ -42,7 +42,7 @@ PARAMETERS = (
     Parameter("guard", True, "Whether the robot is kept from driving into what its scan shows"),
     Parameter("reaction", 0.4, "Greatest age of a measurement on which a command rests, for the guard [s]", 0.05, 5.0),
     Parameter("footprint", list(ROBOMASTER_EP_SIZE), "Length and width of the robots, or one diameter [m]"),
-    Parameter("seed", 0, "Of the random pushes; the node's full name goes in too", 0, 2**31 - 1),
+    Parameter("seed", 0, "Of the exploration noise; the node's full name goes in too", 0, 2**31 - 1),
 )
 
 
@@ -110,7 +110,9 @@ class Controlled:
             )
         if not given["guard"]:
             return controller
-        return Guarded(controller, Guard(self._footprint, reaction=given["reaction"], max_speed=given["max_speed"]))
+        return SafetyFilter(
+            controller, SafetySettings(self._footprint, reaction=given["reaction"], max_speed=given["max_speed"])
+        )
 
 
 def _map_topic(node: Node, given: dict[str, Any], scan: ScanConfig) -> MapTopic:

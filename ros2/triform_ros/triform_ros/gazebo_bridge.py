@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 
-from triform.simulation import starts
+from triform.simulation import sample_starts
 from triform.types import FloatArray, ScanConfig, TriformError
 from triform_ros.conversions import fill_odometry, scan_message, twist_of
 from triform_ros.executable import run_executable
@@ -93,7 +93,7 @@ class Bridge:
         self._period, self._scan = profile.control_period, profile.lidar.scan
         self._timeout, self._wait = given["command_timeout"], given["wait"]
         self._robots = [RobotTopics(node, f"robot{k}", given["stamped"]) for k in range(given["robots"])]
-        poses = starts(given["robots"], 1, given["seed"], distance=given["distance"])[0]
+        poses = sample_starts(given["robots"], 1, given["seed"], distance=given["distance"])[0]
         self._simulator = open_simulator(given["simulator"], poses, profile, given["arena"])
         self._published = 0
         self._began = time.monotonic()

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan as LaserScanMessage
 
-from triform.perception import map_room, occupied_into
+from triform.perception import map_workspace, occupied_into
 from triform.robots.limits import limit_acceleration
 from triform.robots.odometry import PoseHistory
 from triform.robots.real import Step
@@ -196,7 +196,7 @@ class MapTopic:
             config: The map.
         """
         self._node, self._frame, self._reach, self._config = node, frame, reach, config
-        self._room = map_room(config.size)
+        self._room = map_workspace(config.size)
         self._publisher = node.create_publisher(OccupancyGrid, "map", 1)
 
     def publish(self, step: Step) -> None:
@@ -210,8 +210,8 @@ class MapTopic:
 
     def _occupied(self, view: View) -> MapArray:
         config, angles = self._config, view.scans.config.angles
-        moved = np.zeros(3) if view.moved is None else view.moved[0, 0]
-        rays = (view.scans.ranges[0, 0], moved, np.cos(angles), np.sin(angles), self._reach)
+        odometry = np.zeros(3) if view.odometry is None else view.odometry[0, 0]
+        rays = (view.scans.ranges[0, 0], odometry, np.cos(angles), np.sin(angles), self._reach)
         count = occupied_into(*rays, config.cell, config.min_cells, config.max_cells, *self._room)
         occupied = np.zeros(config.size**2, dtype=np.uint8)
         occupied[self._room[2][:count]] = 1

@@ -1,12 +1,12 @@
 """Controllers behind one interface, and the loop that drives any team with any of them."""
 
 from triform.control.expert import EXPERTS, Expert, ExpertVariant, expert_into, expert_variant
+from triform.control.gnn import GnnController
 from triform.control.learned import LearnedPolicy
 from triform.control.loop import control_steps, drive
 from triform.control.registry import CONTROLLERS, make_controller, shipped_weights, weights_folder
-from triform.control.safety import Guard, Guarded, reaction_time
+from triform.control.safety import SafetyFilter, SafetySettings, reaction_time
 from triform.control.scan_pipeline import ScanPipeline
-from triform.control.talking import TalkingTeam
 from triform.control.teacher import Teacher
 from triform.control.triangulating import Triangulating, TriangulatingLaw
 
@@ -15,11 +15,11 @@ __all__ = [
     "EXPERTS",
     "Expert",
     "ExpertVariant",
-    "Guard",
-    "Guarded",
+    "GnnController",
     "LearnedPolicy",
+    "SafetyFilter",
+    "SafetySettings",
     "ScanPipeline",
-    "TalkingTeam",
     "Teacher",
     "Triangulating",
     "TriangulatingLaw",

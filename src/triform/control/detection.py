@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from triform.control._footprint_fit import fit_footprint
-from triform.control._segments import (
+from triform.control.footprint_fit import fit_footprint
+from triform.control.segments import (
     MIN_POINTS,
     TOLERANCE,
     breaks,

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from triform.geometry import gabriel_into
-from triform.geometry._gabriel_kernels import list_neighbours, make_room
 from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
 from triform.geometry.gabriel import ROBOTS_PER_THREAD
+from triform.geometry.gabriel_kernels import list_neighbours, make_workspace
 from triform.threads import in_parts, usable_threads
 from triform.types import (
     SENSING_RANGE,
@@ -118,7 +118,7 @@ def _expert_cells(world, cells, poses, distance, gain, odd_gain, max_speed, sens
     """Write the body twists of the robots in some ``cells`` of a world."""
     robots, _, parts, _ = world
     limit = sensing_range * sensing_range
-    room, ends = make_room(robots.shape[0]), np.empty(robots.shape[0] + 1, dtype=np.int64)
+    room, ends = make_workspace(robots.shape[0]), np.empty(robots.shape[0] + 1, dtype=np.int64)
     listed = np.empty((64, 1), dtype=np.int64)
     for cell in cells:
         listed = list_neighbours(world, cell, limit, room, listed, ends)

@@ -19,12 +19,12 @@ _ROBOTS_PER_THREAD = 64
 _FIRST_SCAN = 1.0
 
 
-def to_twists(answers: FloatArray, push: FloatArray | None, spec: PolicySpec, scale: float) -> FloatArray:
-    """Body twists (M, 3) of a network's answers (M, 3 or 4), with random pushes (M, 2) and rest, scaled to d*."""
+def to_twists(answers: FloatArray, noise: FloatArray | None, spec: PolicySpec, scale: float) -> FloatArray:
+    """Body twists (M, 3) of a network's answers (M, 3 or 4), with exploration noise (M, 2) and rest, scaled to d*."""
     twists = answers[:, :3]
-    if answers.shape[1] > 3 and push is not None:
+    if answers.shape[1] > 3 and noise is not None:
         amplitude = answers[:, 3:]
-        twists[:, :2] += np.where(amplitude > spec.least_push, amplitude, 0.0) * push
+        twists[:, :2] += np.where(amplitude > spec.least_push, amplitude, 0.0) * noise
     if spec.rest_speed > 0.0:
         twists[np.hypot(twists[:, 0], twists[:, 1]) < spec.rest_speed] = 0.0
     twists[:, :2] *= scale
@@ -34,9 +34,9 @@ def to_twists(answers: FloatArray, push: FloatArray | None, spec: PolicySpec, sc
 class LearnedPolicy:
     """Scan -> occupancy map -> network -> body twist, the same for every robot; a ``Controller[View]``.
 
-    A policy that learned the triangulating law gives a mean velocity and the amplitude of a random push upon it, which
-    the robot's own generator draws. All lengths scale with the prescribed distance. A robot that sees nobody has lost
-    its team, and if the policy so says it searches at random; the network has nothing to say then.
+    A policy that learned the triangulating law gives a mean velocity and the amplitude of exploration noise on top of
+    it, which the robot's own generator draws. All lengths scale with the prescribed distance. A robot that sees nobody
+    has lost its team, and if the policy so says it searches at random; the network has nothing to say then.
     """
 
     privileged = False
@@ -59,7 +59,7 @@ class LearnedPolicy:
         if spec.network.outputs not in (3, 4):
             raise ConfigurationError(
                 f"the policy in {runtime.folder} gives {spec.network.outputs} numbers, not a body twist with or "
-                "without the amplitude of a push"
+                "without the amplitude of exploration noise"
             )
         self._runtime = runtime
         self._spec = spec
@@ -91,19 +91,19 @@ class LearnedPolicy:
         robots = np.flatnonzero(view.active)
         ranges = view.scans.ranges.reshape(-1, view.scans.config.rays)
         flat = commands.reshape(-1, 3)
-        moved = None if view.moved is None else view.moved.reshape(-1, 3)
-        push = None if view.push is None else view.push.reshape(-1, 2)
+        odometry = None if view.odometry is None else view.odometry.reshape(-1, 3)
+        noise = None if view.noise is None else view.noise.reshape(-1, 2)
 
         def drive(first: int, last: int) -> None:
             for begin in range(first, last, SCANS_AT_ONCE):
                 some = robots[begin : min(begin + SCANS_AT_ONCE, last)]
-                packed = packer.pack(ranges[some], None if moved is None else moved[some])
+                packed = packer.pack(ranges[some], None if odometry is None else odometry[some])
                 if self._clock is not None:
                     self._clock()
                 answers = self._runtime.commands(packed)
                 if self._spec.search_push > 0.0 and view.time >= _FIRST_SCAN:
                     answers[packed.counts == 0] = (0.0, 0.0, 0.0, self._spec.search_push)
-                flat[some] = to_twists(answers, None if push is None else push[some], self._spec, self._scale)
+                flat[some] = to_twists(answers, None if noise is None else noise[some], self._spec, self._scale)
 
         in_parts(drive, len(robots), len(robots), _ROBOTS_PER_THREAD)
         return commands

@@ -8,11 +8,11 @@ from typing import Any
 
 from triform.control.detection import ROBOMASTER_EP_SIZE
 from triform.control.expert import EXPERTS, Expert
+from triform.control.gnn import GnnController
 from triform.control.learned import LearnedPolicy
 from triform.control.scan_pipeline import ScanPipeline
-from triform.control.talking import TalkingTeam
 from triform.control.triangulating import Triangulating
-from triform.policy import PolicyRuntime, TeamRuntime
+from triform.policy import GnnRuntime, PolicyRuntime
 from triform.types import ConfigurationError, Controller
 
 CONTROLLERS = ("policy", *EXPERTS, "triangulating", "scan-pipeline", "scan-triangulating", "gnn")
@@ -68,7 +68,7 @@ def make_controller(
     if name == "policy":
         return LearnedPolicy(PolicyRuntime(weights_folder(weights), threads), distance)
     if name == "gnn":
-        return TalkingTeam(TeamRuntime(weights_folder(weights, name), threads), distance, _blocking_radius(footprint))
+        return GnnController(GnnRuntime(weights_folder(weights, name), threads), distance, _blocking_radius(footprint))
     if name in EXPERTS:
         return Expert.named(name, distance)
     if name == "triangulating":

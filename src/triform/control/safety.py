@@ -28,8 +28,8 @@ from typing import Any, Generic
 
 import numpy as np
 
-from triform.control._safety_kernels import guard_robots
 from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint, ray_directions
+from triform.control.safety_kernels import guard_robots
 from triform.threads import in_parts
 from triform.types import Controller, FloatArray, ViewIn, require
 
@@ -57,7 +57,7 @@ def reaction_time(
 
 
 @dataclass(frozen=True)
-class Guard:
+class SafetySettings:
     """Settings of the layer.
 
     Attributes:
@@ -89,7 +89,7 @@ class Guard:
         return 1 / (2 * math.e * self.reaction)
 
 
-class Guarded(Generic[ViewIn]):
+class SafetyFilter(Generic[ViewIn]):
     """Any controller, its commands limited by what each robot's own scan shows: a controller for the same views.
 
     A command that is allowed is passed on to the bit. A robot whose scan holds no measurement stands still. So does
@@ -102,15 +102,15 @@ class Guarded(Generic[ViewIn]):
     package turns, and the layer is not tested for overlaps of robots that do.
     """
 
-    def __init__(self, controller: Controller[ViewIn], guard: Guard | None = None) -> None:
-        """Guard a controller.
+    def __init__(self, controller: Controller[ViewIn], guard: SafetySettings | None = None) -> None:
+        """SafetySettings a controller.
 
         Args:
             controller: Any controller; it gets the view unchanged.
             guard: Settings of the layer; by default those of a RoboMaster EP.
         """
         self._controller = controller
-        self._guard = guard or Guard()
+        self._guard = guard or SafetySettings()
 
     @property
     def privileged(self) -> bool:

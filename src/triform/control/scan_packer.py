@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from triform.perception import map_room, occupied_into
+from triform.perception import map_workspace, occupied_into
 from triform.policy import Keep, PackedMaps, append_patches
 from triform.types import FloatArray, MapConfig, ScanConfig, require
 
@@ -19,7 +19,7 @@ SCANS_AT_ONCE = 512
 @njit(cache=True, nogil=True)
 def _pack_scans(  # type: ignore[no-untyped-def]
     ranges,
-    moved,
+    odometry,
     cos,
     sin,
     range_max,
@@ -38,13 +38,13 @@ def _pack_scans(  # type: ignore[no-untyped-def]
 ):
     """Fill ``patches``, ``positions`` and ``counts`` from ``ranges`` (M, R); return the number of patches.
 
-    Robots see from where they have ``moved`` to since, (M, 3). The other arguments are those of ``occupied_into`` and
+    Robots see from where they have moved to since, (M, 3). The other arguments are those of ``occupied_into`` and
     ``append_patches``.
     """
     token = 0
     for m in range(ranges.shape[0]):
         count = occupied_into(
-            ranges[m], moved[m], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells
+            ranges[m], odometry[m], cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells
         )
         after = append_patches(cells, count, grid.shape[0] - 2, patch, keep_all, slots, patches, positions, token)
         counts[m] = after - token
@@ -52,12 +52,12 @@ def _pack_scans(  # type: ignore[no-untyped-def]
     return token
 
 
-class _Room:
+class _Workspace:
     """Working room of one thread."""
 
     def __init__(self, size: int, patch: int) -> None:
         per_map = (size // patch) ** 2
-        self.grid, self.scratch, self.cells = map_room(size)
+        self.grid, self.scratch, self.cells = map_workspace(size)
         self.at_rest = np.zeros((SCANS_AT_ONCE, 3))
         self.slots = np.full(per_map, -1, dtype=np.int32)
         # Pages of these that no patch reaches are never touched.
@@ -92,12 +92,12 @@ class ScanPacker:
         self._cos, self._sin = np.cos(scan.angles), np.sin(scan.angles)
         self._local = threading.local()
 
-    def pack(self, ranges: NDArray[np.floating], moved: FloatArray | None = None) -> PackedMaps:
+    def pack(self, ranges: NDArray[np.floating], odometry: FloatArray | None = None) -> PackedMaps:
         """Pack the maps of up to ``SCANS_AT_ONCE`` scans.
 
         Args:
             ranges: Ranges [m], shape (M, R); what is not in (0, range_max] is no return.
-            moved: Poses of the robots now in their body frames at the moments of their scans [m, m, rad], shape
+            odometry: Poses of the robots now in their body frames at the moments of their scans [m, m, rad], shape
                 (M, 3); where they were if ``None``.
 
         Returns:
@@ -112,10 +112,10 @@ class ScanPacker:
         )
         room = getattr(self._local, "room", None)
         if room is None:
-            room = self._local.room = _Room(self._map.size, self._patch)
+            room = self._local.room = _Workspace(self._map.size, self._patch)
         tokens = _pack_scans(
             ranges,
-            room.at_rest[: len(ranges)] if moved is None else moved,
+            room.at_rest[: len(ranges)] if odometry is None else odometry,
             self._cos,
             self._sin,
             self.scan.range_max,

@@ -12,7 +12,6 @@ from typing import Any, Literal
 import numpy as np
 from numba import njit
 
-from triform.control._triangulating_kernels import FACTS, TERMS, triangulate
 from triform.control.detection import (
     ROBOMASTER_EP_SIZE,
     SCANS_PER_THREAD,
@@ -22,6 +21,7 @@ from triform.control.detection import (
     ray_directions,
 )
 from triform.control.triangulating import TriangulatingLaw
+from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, triangulate
 from triform.geometry.gabriel import gabriel_into
 from triform.threads import in_parts
 from triform.types import SENSING_RANGE, FloatArray, View, require
@@ -48,17 +48,17 @@ def _spring_command(centres, count, distance, gain, max_speed, out):  # type: ig
 
 
 @njit(cache=True, nogil=True)
-def _shift(centres, count, moved):  # type: ignore[no-untyped-def]
-    """Give ``count`` centres as seen from where the robot has ``moved`` to since its scan, shape (3,)."""
-    cos, sin = np.cos(moved[2]), np.sin(moved[2])
+def _shift(centres, count, odometry):  # type: ignore[no-untyped-def]
+    """Give ``count`` centres as seen from where the robot has moved to since its scan, shape (3,)."""
+    cos, sin = np.cos(odometry[2]), np.sin(odometry[2])
     for j in range(count):
-        x, y = centres[j, 0] - moved[0], centres[j, 1] - moved[1]
+        x, y = centres[j, 0] - odometry[0], centres[j, 1] - odometry[1]
         centres[j, 0], centres[j, 1] = cos * x + sin * y, cos * y - sin * x
 
 
 @njit(cache=True, nogil=True)
 def _command_robots(  # type: ignore[no-untyped-def]
-    ranges, active, moved, footprint, directions, angle_min, range_max, distance, gain, max_speed, out, first, last
+    ranges, active, odometry, footprint, directions, angle_min, range_max, distance, gain, max_speed, out, first, last
 ):
     """Write the body twists (M, 3) of the robots ``first <= m < last`` from their scans (M, R) and odometry (M, 3)."""
     centres = np.empty((most_robots(ranges.shape[1]), 2))
@@ -66,12 +66,12 @@ def _command_robots(  # type: ignore[no-untyped-def]
         out[m] = 0.0
         if active[m]:
             count = detect_into(ranges[m], footprint, directions, angle_min, range_max, centres)
-            _shift(centres, count, moved[m])
+            _shift(centres, count, odometry[m])
             _spring_command(centres, count, distance, gain, max_speed, out[m])
 
 
 @njit(cache=True, nogil=True)
-def _triangulating_command(centres, count, distance, law, max_speed, push, room, out):  # type: ignore[no-untyped-def]
+def _triangulating_command(centres, count, distance, law, max_speed, noise, room, out):  # type: ignore[no-untyped-def]
     """Write the triangulating law for a robot at the origin among ``count`` centres, shape (3,)."""
     x, y, linked, terms, facts = room
     x[0] = y[0] = 0.0
@@ -82,8 +82,8 @@ def _triangulating_command(centres, count, distance, law, max_speed, push, room,
             x[points], y[points] = centres[j, 0] / distance, centres[j, 1] / distance
             points += 1
     v_x, v_y, amplitude = triangulate(x, y, points, law, linked, terms, facts)
-    u_x = distance * (v_x + amplitude * push[0])
-    u_y = distance * (v_y + amplitude * push[1])
+    u_x = distance * (v_x + amplitude * noise[0])
+    u_y = distance * (v_y + amplitude * noise[1])
     speed = np.hypot(u_x, u_y)
     scale = max_speed / speed if speed > max_speed else 1.0
     out[0], out[1], out[2] = scale * u_x, scale * u_y, 0.0
@@ -91,21 +91,34 @@ def _triangulating_command(centres, count, distance, law, max_speed, push, room,
 
 @njit(cache=True, nogil=True)
 def _triangulate_robots(  # type: ignore[no-untyped-def]
-    ranges, active, moved, footprint, directions, angle_min, range_max, distance, law, max_speed, push, out, first, last
+    ranges,
+    active,
+    odometry,
+    footprint,
+    directions,
+    angle_min,
+    range_max,
+    distance,
+    law,
+    max_speed,
+    noise,
+    out,
+    first,
+    last,
 ):
-    """As ``_command_robots`` by the triangulating law, with random pushes of shape (M, 2)."""
+    """As ``_command_robots`` by the triangulating law, with exploration noise of shape (M, 2)."""
     points = most_robots(ranges.shape[1]) + 1
     centres = np.empty((points, 2))
     room = (
-        np.empty(points), np.empty(points), np.empty((points, points), dtype=np.bool_), np.empty((points, TERMS)),
-        np.empty(FACTS),
+        np.empty(points), np.empty(points), np.empty((points, points), dtype=np.bool_), np.empty((points, EDGE_TERMS)),
+        np.empty(FEATURES),
     )  # fmt: skip
     for m in range(first, last):
         out[m] = 0.0
         if active[m]:
             count = detect_into(ranges[m], footprint, directions, angle_min, range_max, centres)
-            _shift(centres, count, moved[m])
-            _triangulating_command(centres, count, distance, law, max_speed, push[m], room, out[m])
+            _shift(centres, count, odometry[m])
+            _triangulating_command(centres, count, distance, law, max_speed, noise[m], room, out[m])
 
 
 class ScanPipeline:
@@ -118,7 +131,7 @@ class ScanPipeline:
     in robot i's own scan, with ``e_ij`` the unit vector towards j: a neighbour that is too far attracts. (As printed,
     Eq. 8 has the opposite sign and repels it.)
 
-    **Triangulating**: ``TriangulatingLaw``, with its random push if the view carries one. It uses returns
+    **Triangulating**: ``TriangulatingLaw``, with its exploration noise if the view carries one. It uses returns
     within 2 d* and robots within the law's sight, whatever the range of the LiDAR.
 
     Being told the footprint is an advantage over a learned policy, which has to do with any: it corrects the bias of
@@ -175,8 +188,10 @@ class ScanPipeline:
         scan = view.scans
         ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
         active = view.active.reshape(-1)
-        moved = np.zeros((len(ranges), 3)) if view.moved is None else np.ascontiguousarray(view.moved).reshape(-1, 3)
-        sight = (moved, self._footprint, ray_directions(scan), scan.config.angle_min)
+        odometry = (
+            np.zeros((len(ranges), 3)) if view.odometry is None else np.ascontiguousarray(view.odometry).reshape(-1, 3)
+        )
+        sight = (odometry, self._footprint, ray_directions(scan), scan.config.angle_min)
         out = np.empty((len(ranges), 3))
         if self._triangulating is None:
             seen = (ranges, active, *sight, scan.config.range_max)
@@ -187,10 +202,12 @@ class ScanPipeline:
         else:
             distance, _, max_speed = self._springs
             law = self._triangulating.constants
-            push = np.zeros((len(ranges), 2)) if view.push is None else np.ascontiguousarray(view.push).reshape(-1, 2)
+            noise = (
+                np.zeros((len(ranges), 2)) if view.noise is None else np.ascontiguousarray(view.noise).reshape(-1, 2)
+            )
             seen = (ranges, active, *sight, min(scan.config.range_max, SENSING_RANGE * distance))
             in_parts(
-                lambda first, last: _triangulate_robots(*seen, distance, law, max_speed, push, out, first, last),
+                lambda first, last: _triangulate_robots(*seen, distance, law, max_speed, noise, out, first, last),
                 len(ranges), len(ranges), SCANS_PER_THREAD,
             )  # fmt: skip
         return out.reshape(*view.active.shape, 3)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from triform.control._triangulating_kernels import FACTS, TERMS, hidden, triangulate
+from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, hidden, triangulate
 from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
 from triform.threads import in_parts
 from triform.types import FloatArray, PrivilegedView, TriformError, require
@@ -40,9 +40,9 @@ class TriangulatingLaw:
         loose_length: Length from which an edge is loose.
         loose_width: Over which looseness grows from 0 to 1.
         bridge_pull: Towards the others in sight while the robot has a bridge.
-        bridge_push: Amplitude of the random push while the robot has a bridge.
-        strain_push: Amplitude of the random push while an edge is too long or too short.
-        strain_limit: Strain at which that push begins.
+        bridge_push: Amplitude of the exploration noise while the robot has a bridge.
+        strain_push: Amplitude of the exploration noise while an edge is too long or too short.
+        strain_limit: Strain at which that noise begins.
         strain_width: Over which it grows to its full amplitude.
     """
 
@@ -78,7 +78,7 @@ class TriangulatingLaw:
 
 
 @njit(cache=True, nogil=True)
-def _command_one(i, candidates, number, poses, law, settings, push, room, out):  # type: ignore[no-untyped-def]
+def _command_one(i, candidates, number, poses, law, settings, noise, room, out):  # type: ignore[no-untyped-def]
     """Write the body twist of robot i, which looks at the first ``number`` robots of ``candidates``."""
     distance, blocking, max_speed = settings
     x, y, all_x, all_y, linked, terms, facts = room
@@ -99,27 +99,27 @@ def _command_one(i, candidates, number, poses, law, settings, push, room, out): 
             x[count], y[count] = all_x[k], all_y[k]
             count += 1
     v_x, v_y, amplitude = triangulate(x, y, count, law, linked, terms, facts)
-    v_x = distance * (v_x + amplitude * push[i, 0])
-    v_y = distance * (v_y + amplitude * push[i, 1])
+    v_x = distance * (v_x + amplitude * noise[i, 0])
+    v_y = distance * (v_y + amplitude * noise[i, 1])
     speed = np.sqrt(v_x * v_x + v_y * v_y)
     scale = max_speed / speed if speed > max_speed else 1.0
     out[i, 0], out[i, 1], out[i, 2] = scale * v_x, scale * v_y, 0.0
 
 
 @njit(cache=True, nogil=True)
-def _make_room(most):  # type: ignore[no-untyped-def]
+def _make_workspace(most):  # type: ignore[no-untyped-def]
     return (
         np.empty(most), np.empty(most), np.empty(most), np.empty(most),
-        np.empty((most, most), dtype=np.bool_), np.empty((most, TERMS)), np.empty(FACTS),
+        np.empty((most, most), dtype=np.bool_), np.empty((most, EDGE_TERMS)), np.empty(FEATURES),
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def _command_worlds(poses, active, law, settings, push, out, first, last):  # type: ignore[no-untyped-def]
+def _command_worlds(poses, active, law, settings, noise, out, first, last):  # type: ignore[no-untyped-def]
     """Write the body twists of the worlds ``first <= b < last``; every per-robot array has the leading axis B."""
     robots = poses.shape[1]
     reach = (law[0] * settings[0]) ** 2
-    room = _make_room(robots + 1 if robots <= SMALL_TEAM else 1)
+    room = _make_workspace(robots + 1 if robots <= SMALL_TEAM else 1)
     present = np.empty(robots, dtype=np.int64)
     for b in range(first, last):
         out[b] = 0.0
@@ -130,7 +130,7 @@ def _command_worlds(poses, active, law, settings, push, out, first, last):  # ty
                     present[number] = j
                     number += 1
             for k in range(number):
-                _command_one(present[k], present, number, poses[b], law, settings, push[b], room, out[b])
+                _command_one(present[k], present, number, poses[b], law, settings, noise[b], room, out[b])
             continue
         world = make_cells(poses[b], active[b])
         in_slots, _, parts, _ = world
@@ -142,9 +142,9 @@ def _command_worlds(poses, active, law, settings, push, out, first, last):  # ty
             # In growing order of the robots, so that sums do not depend on the cells.
             near[:number].sort()
             if number >= room[0].shape[0]:
-                room = _make_room(2 * number + 1)
+                room = _make_workspace(2 * number + 1)
             for own in range(parts[cell, 0], parts[cell, 1]):
-                _command_one(in_slots[own], near, number, poses[b], law, settings, push[b], room, out[b])
+                _command_one(in_slots[own], near, number, poses[b], law, settings, noise[b], room, out[b])
 
 
 class Triangulating:
@@ -204,11 +204,11 @@ class Triangulating:
         if not np.isfinite(view.poses[view.active]).all():
             raise TriformError("the triangulating law needs finite poses of all active robots")
         poses, active = np.ascontiguousarray(view.poses, dtype=np.float64), np.ascontiguousarray(view.active)
-        push = np.zeros((*active.shape, 2)) if view.push is None else np.ascontiguousarray(view.push)
+        noise = np.zeros((*active.shape, 2)) if view.noise is None else np.ascontiguousarray(view.noise)
         out = np.empty(poses.shape)
         in_parts(
             lambda first, last: _command_worlds(
-                poses, active, self.law.constants, self._settings, push, out, first, last
+                poses, active, self.law.constants, self._settings, noise, out, first, last
             ),
             len(poses), active.size, _ROBOTS_PER_THREAD,
         )  # fmt: skip

@@ -11,8 +11,8 @@ from triform.dataset.neighbours import COLUMNS, neighbours
 from triform.dataset.reader import Demonstrations, Split
 from triform.dataset.records import Records
 from triform.dataset.scenes import SceneConfig, Views, draw_views
+from triform.dataset.state_buffer import StateBuffer, joined
 from triform.dataset.teams import TeamLabels, TeamStates, draw_states, label_states
-from triform.dataset.visited import VisitedStates, joined
 
 __all__ = [
     "COLUMNS",
@@ -29,11 +29,11 @@ __all__ = [
     "SceneConfig",
     "Shard",
     "Split",
+    "StateBuffer",
     "StateConfig",
     "TeamLabels",
     "TeamStates",
     "Views",
-    "VisitedStates",
     "collect",
     "draw_fresh",
     "draw_states",

@@ -8,7 +8,7 @@ import numpy as np
 
 from triform.control import Teacher
 from triform.dataset.configuration import CollectionConfig
-from triform.simulation import Drive, starts
+from triform.simulation import Drive, sample_starts
 from triform.simulation.kinematics import integrate, limit_twists
 from triform.types import FloatArray
 
@@ -37,7 +37,7 @@ def _roll_outs(config: CollectionConfig, teacher: Teacher, runs: Sequence[int]) 
     """
     if not runs:
         return []
-    poses = np.concatenate([starts(config.robots, 1, config.roll_out_seed, first=run) for run in runs])
+    poses = np.concatenate([sample_starts(config.robots, 1, config.roll_out_seed, first=run) for run in runs])
     drive = Drive(max_speed=config.speed_limit)
     driven = np.empty((len(runs), config.steps, config.robots, 3))
     commands = np.empty_like(driven)
@@ -59,5 +59,5 @@ def _jitter(config: CollectionConfig, run: int, poses: FloatArray) -> FloatArray
 
 def _block(config: CollectionConfig, teacher: Teacher, run: int) -> tuple[FloatArray, FloatArray]:
     first = (run - config.runs) * config.block_placements
-    poses = starts(config.robots, config.run_records(run), config.placement_seed, first=first)
+    poses = sample_starts(config.robots, config.run_records(run), config.placement_seed, first=first)
     return poses, teacher.label(poses)

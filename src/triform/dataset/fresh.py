@@ -13,8 +13,8 @@ from numba import njit
 
 from triform.control import Teacher, expert_into
 from triform.dataset.neighbours import COLUMNS, neighbours_into
-from triform.perception import map_room, occupied_into
-from triform.simulation import linked
+from triform.perception import map_workspace, occupied_into
+from triform.simulation import is_connected
 from triform.simulation.lidar import cast_world, scan_rays
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.types import SENSING_RANGE, FloatArray, MapArray, MapConfig, ScanConfig, TriformError, require
@@ -107,7 +107,7 @@ def _place(rng, side, min_spacing, poses):  # type: ignore[no-untyped-def]
                     break
             if not fits:
                 break
-        if fits and linked(poses, SENSING_RANGE):
+        if fits and is_connected(poses, SENSING_RANGE):
             return True
     return False
 
@@ -157,7 +157,7 @@ def _draw_records(  # type: ignore[no-untyped-def]
     graph = np.empty((robots, robots), dtype=np.bool_)
     ranges = np.empty((robots, cos_rays.shape[0]))
     axes = np.empty((robots, 2))
-    grid, scratch, cells = map_room(size)
+    grid, scratch, cells = map_workspace(size)
     at_rest = np.zeros(3)
     walls = np.empty((0, 4))
     pillars = np.empty((0, 3))

@@ -6,13 +6,13 @@ import numpy as np
 
 from triform.control import TriangulatingLaw
 from triform.dataset.scenes import SceneConfig, draw_views
+from triform.dataset.state_buffer import StateBuffer
 from triform.dataset.teams import draw_states
-from triform.dataset.visited import VisitedStates
-from triform.policy import GnnConfig, PolicySpec, TeamGraph
+from triform.policy import GnnConfig, PolicySpec, RadiusGraph
 from triform.types import MapArray
 
 
-def fresh_inputs(rng: np.random.Generator, robots: int, spec: PolicySpec) -> MapArray | TeamGraph:
+def fresh_inputs(rng: np.random.Generator, robots: int, spec: PolicySpec) -> MapArray | RadiusGraph:
     """Occupancy maps of ``robots`` robots in random states, or, for a graph network, teams of at least as many.
 
     Args:
@@ -20,7 +20,7 @@ def fresh_inputs(rng: np.random.Generator, robots: int, spec: PolicySpec) -> Map
         robots: Robots wanted.
         spec: The policy.
     """
-    nowhere = VisitedStates.none()
+    nowhere = StateBuffer.none()
     if isinstance(spec.network, GnnConfig):
         return draw_states(rng, robots, SceneConfig(), nowhere).graph(spec.network.reach)
     return draw_views(rng, robots, TriangulatingLaw(), SceneConfig(), nowhere, spec.scan, spec.map).maps

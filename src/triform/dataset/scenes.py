@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from triform.control._triangulating_kernels import FACTS, TERMS, hidden, triangulate
 from triform.control.triangulating import TriangulatingLaw
-from triform.dataset.visited import VisitedStates
-from triform.perception import map_room, occupied_into
-from triform.simulation._cast_kernels import cast_robot, find_axes
+from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, hidden, triangulate
+from triform.dataset.state_buffer import StateBuffer
+from triform.perception import map_workspace, occupied_into
+from triform.simulation.cast_kernels import cast_robot, find_axes
 from triform.simulation.lidar import scan_rays
 from triform.simulation.profiles import ROBOMASTER_EP
 from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, require
@@ -91,8 +91,8 @@ class Views:
         maps: Occupancy maps, uint8, shape (M, H, W).
         commands: Mean velocity (x, y), turn rate (0) and amplitude of the push [d*/s, rad/s, d*/s], shape (M, 4).
         seen: The robots in sight: x, y [d*], what each adds to the velocity (2) [d*/s], whether it is a Gabriel
-            neighbour and whether it shares one with this robot; the rest infinite, shape (M, SEEN, 2 + TERMS).
-        facts: Facts of ``triangulate``, shape (M, FACTS).
+            neighbour and whether it shares one with this robot; the rest infinite, shape (M, SEEN, 2 + EDGE_TERMS).
+        facts: Facts of ``triangulate``, shape (M, FEATURES).
     """
 
     maps: MapArray
@@ -164,11 +164,11 @@ def longest_team(offsets, sizes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def label_room(longest):  # type: ignore[no-untyped-def]
+def label_workspace(longest):  # type: ignore[no-untyped-def]
     """Working room of ``label_robot`` for teams of up to ``longest`` robots."""
     return (
         np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest),
-        np.empty((longest, longest), dtype=np.bool_), np.empty((longest, TERMS)),
+        np.empty((longest, longest), dtype=np.bool_), np.empty((longest, EDGE_TERMS)),
     )  # fmt: skip
 
 
@@ -235,7 +235,7 @@ def label_robot(positions, i, heading, law, blocking, max_speed, room, command, 
     seen[:] = np.inf
     for k in range(1, min(count, seen.shape[0] + 1)):
         seen[k - 1, 0], seen[k - 1, 1] = x[k], y[k]
-        for c in range(TERMS):
+        for c in range(EDGE_TERMS):
             seen[k - 1, 2 + c] = terms[k, c]
 
 
@@ -255,11 +255,11 @@ def _draw_views(  # type: ignore[no-untyped-def]
     team = np.empty((longest, 2))
     poses, axes = np.empty((longest, 3)), np.empty((longest, 2))
     active = np.ones(longest, dtype=np.bool_)
-    room = label_room(longest)
+    room = label_workspace(longest)
     ranges = np.empty(cos_rays.shape[0])
     walls, pillars = np.empty((4, 4)), np.empty((1, 3))
     at_rest = np.zeros(3)
-    grid, scratch, cells = map_room(size)
+    grid, scratch, cells = map_workspace(size)
     m = 0
     while m < maps.shape[0]:
         robots = draw_positions(rng, visited, offsets, placed, sizes, jitter, team)
@@ -312,7 +312,7 @@ def draw_views(
     maps: int,
     law: TriangulatingLaw,
     config: SceneConfig,
-    visited: VisitedStates,
+    visited: StateBuffer,
     scan: ScanConfig,
     map_config: MapConfig,
 ) -> Views:
@@ -331,8 +331,8 @@ def draw_views(
     out = Views(
         np.zeros((maps, size, size), dtype=np.uint8),
         np.empty((maps, 4)),
-        np.empty((maps, SEEN, 2 + TERMS)),
-        np.empty((maps, FACTS)),
+        np.empty((maps, SEEN, 2 + EDGE_TERMS)),
+        np.empty((maps, FEATURES)),
     )
     _draw_views(
         rng, visited.positions, visited.offsets, config.placed, config.sizes, np.array(config.jitter),

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from triform.perception import map_room, occupied_into
+from triform.perception import map_workspace, occupied_into
 from triform.simulation import Arena, Footprint
 from triform.simulation.lidar import cast_world, scan_rays
 from triform.types import FloatArray, IntArray, MapConfig, ScanConfig
@@ -35,7 +35,7 @@ def _sense_into(  # type: ignore[no-untyped-def]
     axes = np.empty((robots, 2))
     active = np.ones(robots, dtype=np.bool_)
     ranges = np.empty((robots, rays))
-    grid, scratch, found = map_room(size)
+    grid, scratch, found = map_workspace(size)
     at_rest = np.zeros(3)
     filled = 0
     offsets[0] = 0

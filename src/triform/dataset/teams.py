@@ -12,18 +12,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from triform.control._triangulating_kernels import FACTS, TERMS
 from triform.control.triangulating import TriangulatingLaw
+from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES
 from triform.dataset.scenes import (
     SceneConfig,
     draw_body,
     draw_positions,
     label_robot,
-    label_room,
+    label_workspace,
     longest_team,
 )
-from triform.dataset.visited import VisitedStates
-from triform.policy import TeamGraph, hear
+from triform.dataset.state_buffer import StateBuffer
+from triform.policy import RadiusGraph, hear
 from triform.simulation.profiles import ROBOMASTER_EP
 from triform.types import BoolArray, FloatArray, IntArray
 
@@ -53,7 +53,7 @@ class TeamStates:
         begin, end = self.offsets[first], self.offsets[last]
         return TeamStates(self.poses[begin:end], self.offsets[first : last + 1] - begin, self.blocking[first:last])
 
-    def graph(self, reach: float) -> TeamGraph:
+    def graph(self, reach: float) -> RadiusGraph:
         """Who hears whom within ``reach`` [d*]."""
         return hear(self.poses, self.offsets, self.blocking, reach)
 
@@ -65,9 +65,9 @@ class TeamLabels:
     Attributes:
         commands: Mean velocity (x, y), turn rate (0) and amplitude of the push [d*/s, rad/s, d*/s], shape (M, 4).
         terms: For every edge of the graph, what the sender adds to the receiver's velocity (2) [d*/s], whether it is
-            a Gabriel neighbour and whether it shares one with the receiver, shape (E, TERMS).
+            a Gabriel neighbour and whether it shares one with the receiver, shape (E, EDGE_TERMS).
         seen: Edges whose sender the law sees, shape (E,); the others' terms are zero.
-        facts: Facts of ``triangulate``, shape (M, FACTS).
+        facts: Facts of ``triangulate``, shape (M, FEATURES).
     """
 
     commands: FloatArray
@@ -110,8 +110,8 @@ def _label_states(  # type: ignore[no-untyped-def]
     longest = 1
     for t in range(blocking.shape[0]):
         longest = max(longest, offsets[t + 1] - offsets[t])
-    room = label_room(longest)
-    around = np.empty((longest, 2 + TERMS))
+    room = label_workspace(longest)
+    around = np.empty((longest, 2 + EDGE_TERMS))
     edge = 0
     for t in range(blocking.shape[0]):
         first = offsets[t]
@@ -129,7 +129,7 @@ def _label_states(  # type: ignore[no-untyped-def]
                 terms[edge], seen[edge] = 0.0, False
                 for k in range(at, longest):
                     if abs(around[k, 0] - x) < _SAME_PLACE and abs(around[k, 1] - y) < _SAME_PLACE:
-                        for c in range(TERMS):
+                        for c in range(EDGE_TERMS):
                             terms[edge, c] = around[k, 2 + c]
                         seen[edge] = True
                         at = k + 1
@@ -137,7 +137,7 @@ def _label_states(  # type: ignore[no-untyped-def]
                 edge += 1
 
 
-def draw_states(rng: np.random.Generator, robots: int, config: SceneConfig, visited: VisitedStates) -> TeamStates:
+def draw_states(rng: np.random.Generator, robots: int, config: SceneConfig, visited: StateBuffer) -> TeamStates:
     """Draw random states of whole teams until they have at least ``robots`` robots.
 
     Args:
@@ -156,7 +156,7 @@ def draw_states(rng: np.random.Generator, robots: int, config: SceneConfig, visi
     return TeamStates(poses[: offsets[teams]], offsets[: teams + 1], blocking[:teams])
 
 
-def label_states(states: TeamStates, graph: TeamGraph, law: TriangulatingLaw, max_speed: float) -> TeamLabels:
+def label_states(states: TeamStates, graph: RadiusGraph, law: TriangulatingLaw, max_speed: float) -> TeamLabels:
     """Label every robot.
 
     Args:
@@ -167,7 +167,7 @@ def label_states(states: TeamStates, graph: TeamGraph, law: TriangulatingLaw, ma
     """
     robots, edges = len(states.poses), len(graph.receivers)
     seen: NDArray[np.bool_] = np.empty(edges, dtype=np.bool_)
-    out = TeamLabels(np.empty((robots, 4)), np.empty((edges, TERMS)), seen, np.empty((robots, FACTS)))
+    out = TeamLabels(np.empty((robots, 4)), np.empty((edges, EDGE_TERMS)), seen, np.empty((robots, FEATURES)))
     _label_states(
         states.poses, states.offsets, states.blocking, law.constants, max_speed, graph.receivers, graph.senders,
         out.commands, out.terms, out.seen, out.facts,

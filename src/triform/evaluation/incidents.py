@@ -7,10 +7,10 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from triform.evaluation.dynamic import change_teams
 from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.scenario import Scenario, world_seeds
+from triform.experiments.dynamic import change_teams
 from triform.simulation import SimulatedTeam
 from triform.types import SENSING_RANGE, Controller, FloatArray, IntArray, PrivilegedView
 

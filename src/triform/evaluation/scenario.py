@@ -11,14 +11,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from triform.control import Guard, Guarded, control_steps, make_controller, reaction_time
+from triform.control import SafetyFilter, SafetySettings, control_steps, make_controller, reaction_time
 from triform.engines import Engine, EngineName, check_engine, open_engine
 from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
+from triform.evaluation.overrides import LIDAR_REACH, Overrides
 from triform.evaluation.placement import blocked_starts
-from triform.evaluation.robot import LIDAR_REACH, Conditions
 from triform.evaluation.rollout import Trajectory, rollout
 from triform.robots.gazebo import Base, GazeboServer, GazeboTeam, braked
-from triform.simulation import Arena, Drive, Profile, SimulatedTeam, World, get_arena, get_profile, starts
+from triform.simulation import Arena, Drive, Profile, SimulatedTeam, World, get_arena, get_profile, sample_starts
 from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, PrivilegedView, require
 
 #: Robots of one chunk of runs: enough that the fixed cost of a step is small, few enough that the last chunks of an
@@ -103,9 +103,9 @@ class Scenario:
         _ = self.conditions
 
     @property
-    def conditions(self) -> Conditions:
+    def conditions(self) -> Overrides:
         """What replaces the profile's own values."""
-        return Conditions(**{field.name: getattr(self, field.name) for field in fields(Conditions)})
+        return Overrides(**{field.name: getattr(self, field.name) for field in fields(Overrides)})
 
     @property
     def robot(self) -> Profile:
@@ -145,7 +145,7 @@ class Scenario:
         lag = drive.lag + fastest / (2 * drive.max_acceleration)
         reaction = reaction_time(robot.control_period, lidar.period, robot.latency, lidar.rolling, lag)
         limits = {"max_speed": drive.max_speed, "max_axis_speed": drive.max_axis_speed}
-        return Guarded(controller, Guard(robot.footprint.size, reaction=reaction, **limits))
+        return SafetyFilter(controller, SafetySettings(robot.footprint.size, reaction=reaction, **limits))
 
     def make_unguarded(self) -> Controller[PrivilegedView]:
         """Make the controller without the layer that guards it.
@@ -157,7 +157,7 @@ class Scenario:
 
     def draw_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
         """Return random starts (runs, robots, 3) for the prescribed distance, as ``triform.simulation.starts``."""
-        return starts(robots, runs, seed, first, distance=self.distance)
+        return sample_starts(robots, runs, seed, first, distance=self.distance)
 
     def open_teams(
         self, poses: FloatArray, seeds: list[np.random.SeedSequence], spare: int = 0

@@ -17,8 +17,8 @@ import math
 import numpy as np
 from numba import njit
 
-from triform.geometry._gabriel_kernels import list_neighbours, make_room
 from triform.geometry.cells import SMALL_TEAM, extended, make_cells
+from triform.geometry.gabriel_kernels import list_neighbours, make_workspace
 from triform.threads import in_parts
 from triform.types import BoolArray, ConfigurationError, FloatArray, IntArray
 
@@ -72,7 +72,7 @@ def gabriel_lists(positions, active, max_range):  # type: ignore[no-untyped-def]
         return offsets, listed[:filled, 0].copy()
     world = make_cells(positions, active)
     order, _, parts, _ = world
-    room = make_room(order.shape[0])
+    room = make_workspace(order.shape[0])
     begins = np.empty(order.shape[0], dtype=np.int64)
     ends = np.empty(order.shape[0] + 1, dtype=np.int64)
     in_cell = np.empty((64, 1), dtype=np.int64)

@@ -26,7 +26,7 @@ _SCANS_PER_THREAD = 300
 
 
 @njit(cache=True, nogil=True)
-def map_room(size):  # type: ignore[no-untyped-def]
+def map_workspace(size):  # type: ignore[no-untyped-def]
     """Make room for ``occupied_into`` and maps of ``size`` x ``size`` cells: grid, scratch and cells."""
     # A closed border spares every look at a neighbour the question whether it is on the map.
     grid = np.full((size + 2, size + 2), _CLOSED, dtype=np.uint8)
@@ -94,8 +94,8 @@ def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells
         cell: Side of a cell [m].
         min_cells: Smaller groups are dropped.
         max_cells: Larger groups are dropped.
-        grid: Working grid of ``map_room``, shape (H + 2, H + 2); left as it was.
-        scratch: Working room of ``map_room``, int32, shape (2, H * H).
+        grid: Working grid of ``map_workspace``, shape (H + 2, H + 2); left as it was.
+        scratch: Working room of ``map_workspace``, int32, shape (2, H * H).
         cells: Flat indices ``row * H + column`` of the occupied cells, int32, shape (H * H,); filled from the
             front, in no particular order.
 
@@ -126,7 +126,7 @@ def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells
 @njit(cache=True, nogil=True)
 def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, first, last, out):  # type: ignore[no-untyped-def]
     size = out.shape[1]
-    grid, scratch, cells = map_room(size)
+    grid, scratch, cells = map_workspace(size)
     at_rest = np.zeros(3)
     for m in range(first, last):
         kept = occupied_into(ranges[m], at_rest, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells)

@@ -16,14 +16,15 @@ from triform.policy.config import (
     map_network,
     vit_network,
 )
+from triform.policy.gnn_runtime import GnnRuntime
 from triform.policy.packing import Keep, PackedMaps, append_patches, pack
+from triform.policy.radius_graph import RadiusGraph, hear
 from triform.policy.runtime import PolicyRuntime
-from triform.policy.team_runtime import TeamRuntime
-from triform.policy.teams import TeamGraph, hear
 
 __all__ = [
     "CnnConfig",
     "GnnConfig",
+    "GnnRuntime",
     "Keep",
     "MapNetwork",
     "Network",
@@ -31,8 +32,7 @@ __all__ = [
     "PackedMaps",
     "PolicyRuntime",
     "PolicySpec",
-    "TeamGraph",
-    "TeamRuntime",
+    "RadiusGraph",
     "append_patches",
     "describe_network",
     "hear",

@@ -14,11 +14,11 @@ from onnxruntime.quantization import QuantType, quantize_dynamic
 from triform.files import cannot_write, make_folder, sha256, write_together
 from triform.policy.checkpoint import ONNX_FILE, SPEC_FILE, WEIGHTS_FILE, PolicySpec, Precision, read_weights
 from triform.policy.config import map_network
+from triform.policy.gnn_runtime import GnnRuntime
 from triform.policy.kinds import network_inputs, write_graph
 from triform.policy.packing import PackedMaps, pack
+from triform.policy.radius_graph import RadiusGraph
 from triform.policy.runtime import PolicyRuntime
-from triform.policy.team_runtime import TeamRuntime
-from triform.policy.teams import TeamGraph
 from triform.policy.weights import load_policy
 from triform.types import FloatArray, MapArray, TriformError
 
@@ -40,7 +40,7 @@ class Difference:
 
 
 def export_policy(
-    folder: Path, fresh: MapArray | TeamGraph, precision: Precision = "float32", out: Path | None = None
+    folder: Path, fresh: MapArray | RadiusGraph, precision: Precision = "float32", out: Path | None = None
 ) -> Difference:
     """Write ``model.onnx`` for the policy in ``folder``.
 
@@ -61,7 +61,7 @@ def export_policy(
             was there stays then.
     """
     network, spec = load_policy(folder)
-    given = fresh if isinstance(fresh, TeamGraph) else _packed(fresh, spec)
+    given = fresh if isinstance(fresh, RadiusGraph) else _packed(fresh, spec)
     try:
         with tempfile.TemporaryDirectory() as trial, torch.inference_mode():
             files = _exported(folder, spec, precision, Path(trial))
@@ -90,10 +90,10 @@ def _packed(maps: MapArray, spec: PolicySpec) -> PackedMaps:
     return pack(maps, network.patch, network.attention)
 
 
-def _run(folder: Path, given: PackedMaps | TeamGraph) -> FloatArray:
+def _run(folder: Path, given: PackedMaps | RadiusGraph) -> FloatArray:
     """What the exported policy in ``folder`` answers."""
-    if isinstance(given, TeamGraph):
-        return TeamRuntime(folder).commands(given)
+    if isinstance(given, RadiusGraph):
+        return GnnRuntime(folder).commands(given)
     return PolicyRuntime(folder).commands(given)
 
 

@@ -17,12 +17,12 @@ from torch.nn import functional
 
 from triform.policy.config import GnnConfig
 from triform.policy.network import PolicyNetwork, to_device
-from triform.policy.teams import EDGE_FEATURES, SUM_SCALE, TeamGraph
+from triform.policy.radius_graph import EDGE_FEATURES, SUM_SCALE, RadiusGraph
 
 
 @dataclass(frozen=True)
 class TeamBatch:
-    """A ``TeamGraph`` in PyTorch; attributes as there."""
+    """A ``RadiusGraph`` in PyTorch; attributes as there."""
 
     features: Tensor
     receivers: Tensor
@@ -30,7 +30,7 @@ class TeamBatch:
     robots: int
 
 
-def team_batch(teams: TeamGraph, device: torch.device | str = "cpu") -> TeamBatch:
+def team_batch(teams: RadiusGraph, device: torch.device | str = "cpu") -> TeamBatch:
     """Move teams into PyTorch."""
     features, receivers, senders = (
         to_device(array, device) for array in (teams.features, teams.receivers, teams.senders)

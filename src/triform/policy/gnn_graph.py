@@ -10,7 +10,7 @@ from onnx import TensorProto, helper
 
 from triform.policy.config import GnnConfig
 from triform.policy.graph import Graph
-from triform.policy.teams import EDGE_FEATURES, SUM_SCALE
+from triform.policy.radius_graph import EDGE_FEATURES, SUM_SCALE
 
 
 def _round(graph: Graph, name: str, robots: str, edges: str, shape: str, config: GnnConfig) -> tuple[str, str]:
@@ -34,7 +34,7 @@ def _round(graph: Graph, name: str, robots: str, edges: str, shape: str, config:
 def build_gnn_graph(config: GnnConfig, weights: bytes, file_name: str) -> bytes:
     """Write the network as an ONNX model whose weights stand in a safetensors file beside it.
 
-    Inputs are those of ``TeamGraph``: ``features``, float32 (E, EDGE_FEATURES), ``receivers`` and ``senders``, int64
+    Inputs are those of ``RadiusGraph``: ``features``, float32 (E, EDGE_FEATURES), ``receivers`` and ``senders``, int64
     (E,), and ``robots``, int64 (1,); the output ``commands`` is float32 (M, outputs).
 
     Args:

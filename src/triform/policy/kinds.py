@@ -14,7 +14,7 @@ from triform.policy.gnn_graph import build_gnn_graph
 from triform.policy.graph import build_graph
 from triform.policy.network import PolicyNetwork
 from triform.policy.packing import PackedMaps
-from triform.policy.teams import TeamGraph
+from triform.policy.radius_graph import RadiusGraph
 from triform.policy.vit import VisionTransformer, token_batch
 
 
@@ -27,9 +27,9 @@ def make_network(config: Network) -> PolicyNetwork:
     return VisionTransformer(config)
 
 
-def network_inputs(given: PackedMaps | TeamGraph, device: torch.device | str = "cpu") -> Any:
+def network_inputs(given: PackedMaps | RadiusGraph, device: torch.device | str = "cpu") -> Any:
     """What a network reads, in PyTorch."""
-    return team_batch(given, device) if isinstance(given, TeamGraph) else token_batch(given, device)
+    return team_batch(given, device) if isinstance(given, RadiusGraph) else token_batch(given, device)
 
 
 def write_graph(config: Network, weights: bytes, file_name: str) -> bytes:

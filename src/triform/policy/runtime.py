@@ -107,7 +107,7 @@ def _fill_maps(patches, positions, counts, token, patch, maps):  # type: ignore[
     return token
 
 
-class _Room(threading.local):
+class _Workspace(threading.local):
     """Working room, one for each thread; it grows with the largest batch."""
 
     def __init__(self, patches: int, cells: int) -> None:
@@ -171,7 +171,7 @@ class PolicyRuntime:
                 f"{folder / ONNX_FILE} reads {name} of {found} cells and gives {outputs} numbers; its description "
                 f"says {cells} and {network.outputs}"
             )
-        self._room = _Room(network.patches, network.patch**2)
+        self._room = _Workspace(network.patches, network.patch**2)
 
     def commands(self, packed: PackedMaps) -> FloatArray:
         """Body twists (M, 3) [m/s, m/s, rad/s] of M maps.

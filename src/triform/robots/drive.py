@@ -15,9 +15,9 @@ import numpy as np
 from rich.console import Console
 
 from triform.control import (
-    Guard,
-    Guarded,
     LearnedPolicy,
+    SafetyFilter,
+    SafetySettings,
     control_steps,
     drive,
     make_controller,
@@ -118,7 +118,7 @@ class DriveConfig:
         require(self.seed is None or self.seed >= 0, f"seed is {self.seed}; it must not be negative")
         require(all(map(math.isfinite, self.start_pose)), f"start_pose is {self.start_pose}; it must be finite")
         require(math.isfinite(self.mounting), f"mounting is {self.mounting} rad; it must be finite")
-        _ = Guard(self.footprint)
+        _ = SafetySettings(self.footprint)
 
     @property
     def model(self) -> LidarModel:
@@ -185,7 +185,7 @@ class DriveConfig:
         lag, period = HARDWARE.drive.lag, self.control_period
         reaction = reaction_time(period, self.model.period, HARDWARE.latency, rolling=True, lag=lag)
         limits = {"max_speed": self.limits.max_speed, "max_axis_speed": self.limits.max_axis_speed}
-        return Guarded(controller, Guard(self.footprint, reaction=reaction, **limits))
+        return SafetyFilter(controller, SafetySettings(self.footprint, reaction=reaction, **limits))
 
 
 def run_drive(config: DriveConfig, console: Console) -> None:

@@ -22,7 +22,7 @@ from triform.robots.recorder import POSE_COLUMNS, CsvLog
 from triform.robots.robomaster import RoboMasterEmulator
 from triform.robots.screen import Screen
 from triform.robots.stop_signals import StopSignals
-from triform.simulation import HARDWARE, Arena, LidarConfig, World, apply_noise, cast_rolling, get_arena, starts
+from triform.simulation import HARDWARE, Arena, LidarConfig, World, apply_noise, cast_rolling, get_arena, sample_starts
 from triform.simulation.odometry import relative_poses
 from triform.types import SENSING_RANGE, FloatArray, ScanConfig, require
 
@@ -108,7 +108,7 @@ class EmulateConfig:
 
     def draw_start(self) -> FloatArray:
         """Return where the robots start, shape (N, 3) [m, m, rad]."""
-        return np.asarray(starts(self.robots, 1, self.seed, self.index, distance=self.distance)[0])
+        return np.asarray(sample_starts(self.robots, 1, self.seed, self.index, distance=self.distance)[0])
 
 
 class Emulation:

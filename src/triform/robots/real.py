@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from triform.simulation import Drive, limit_twists
+from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
 from triform.simulation.odometry import relative_poses, resting_poses
-from triform.simulation.pushes import push_keys, push_size, random_pushes
 from triform.types import FloatArray, RangeArray, Scan, ScanConfig, TriformError, View, require
 
 #: A robot's velocity is taken over this long [s].
@@ -146,7 +146,7 @@ class RealRobot:
             lidar: Gives the scans.
             base: Takes the commands; ``None`` drives nothing and knows no odometry.
             control_period: Time between two commands [s].
-            seed: Of the random pushes; robots of one team need different ones.
+            seed: Of the exploration noise; robots of one team need different ones.
             limits: Commands are cut to these speeds.
             odometry: Whether a view says how far the robot has come since its scan.
             scan_timeout: An older scan is no scan [s].
@@ -162,8 +162,8 @@ class RealRobot:
         self._scan = lidar.scan
         self._period = control_period
         self._limits = limits
-        self._keys = push_keys([np.random.SeedSequence(seed)], 1)
-        self._push_size = push_size(limits)
+        self._keys = noise_keys([np.random.SeedSequence(seed)], 1)
+        self._noise_scale = noise_scale(limits)
         self._odometry = odometry
         self._timeout = scan_timeout
         self._on_sent, self._warn = on_sent, warn
@@ -207,8 +207,8 @@ class RealRobot:
             scans=Scan(ranges[None, None], self._scan),
             active=_ONE,
             time=now - self._started,
-            push=self._push_size * random_pushes(self._keys, 1, now - self._started),
-            moved=None if turn is None or not self._odometry else self._moved(turn, now),
+            noise=self._noise_scale * exploration_noise(self._keys, 1, now - self._started),
+            odometry=None if turn is None or not self._odometry else self._moved(turn, now),
         )
         return self._view
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from triform.simulation._spawn_kernels import linked
 from triform.simulation.arena import ARENAS, Arena, get_arena
 from triform.simulation.kinematics import (
     advance_pose,
@@ -27,7 +26,8 @@ from triform.simulation.profiles import (
     get_profile,
 )
 from triform.simulation.simulated import SimulatedTeam
-from triform.simulation.spawning import load_starts, sample_addition, square_side, starts
+from triform.simulation.spawn_kernels import is_connected
+from triform.simulation.spawning import load_starts, sample_addition, sample_starts, square_side
 from triform.simulation.world import World
 
 __all__ = [
@@ -54,13 +54,13 @@ __all__ = [
     "get_arena",
     "get_profile",
     "integrate",
+    "is_connected",
     "limit_twists",
-    "linked",
     "load_starts",
     "noise_sigma",
     "sample_addition",
+    "sample_starts",
     "square_side",
-    "starts",
     "steer",
     "twist_from_wheels",
     "wheel_speeds",

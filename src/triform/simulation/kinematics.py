@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from triform.simulation._drive_kernels import advance_pose, drive_team, limit_twist
+from triform.simulation.drive_kernels import advance_pose, drive_team, limit_twist
 from triform.simulation.profiles import Drive
 from triform.types import FloatArray, require
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
-from triform.simulation._cast_kernels import cast_cells, cast_world, cast_worlds, sort_poses
-from triform.simulation._moving_ray_kernels import cast_moving_worlds
 from triform.simulation.arena import Arena
+from triform.simulation.cast_kernels import cast_cells, cast_world, cast_worlds, sort_poses
+from triform.simulation.moving_ray_kernels import cast_moving_worlds
 from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
 from triform.threads import in_parts, usable_threads
 from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig

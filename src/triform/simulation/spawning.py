@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from triform.simulation._spawn_kernels import first_valid, insert_in_turn, linked, linked_groups
+from triform.simulation.spawn_kernels import first_valid, insert_in_turn, is_connected, linked_groups
 from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError, require
 
 #: Smallest distance between two centres at the start, and from a robot that joins to the others, at d* = 1 m [m].
@@ -55,7 +55,7 @@ def _positions(robots: int, side: float, distance: float, rng: np.random.Generat
                 return np.array(candidates[index])
         else:
             placed = _one_after_the_other(robots, side, spacing, reach, rng)
-            if placed is not None and linked(placed, reach):
+            if placed is not None and is_connected(placed, reach):
                 return placed
     return None
 
@@ -81,7 +81,7 @@ def _one_after_the_other(
     return placed
 
 
-def starts(
+def sample_starts(
     robots: int, runs: int, seed: int, first: int = 0, side: float | None = None, distance: float = 1.0
 ) -> FloatArray:
     """Return random starts; a start is a function of ``(robots, seed, index)`` (``side`` and ``distance``) alone.

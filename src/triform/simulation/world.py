@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from triform.simulation._world_kernels import advance_worlds, record_contacts
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
 from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, scan_rays
 from triform.simulation.profiles import Profile
-from triform.simulation.senses import Senses, padded
+from triform.simulation.sensors import SensorSuite, padded
+from triform.simulation.world_kernels import advance_worlds, record_contacts
 from triform.threads import in_parts
 from triform.types import (
     BoolArray,
@@ -32,7 +32,7 @@ RECORDS_PER_THREAD = 20_000
 class World:
     """``B`` worlds of up to ``N`` robots: a ``Team[PrivilegedView]``.
 
-    Robots measure while everybody moves, and a view shows what ``Senses`` says, from a first scan at time 0 on.
+    Robots measure while everybody moves, and a view shows what ``SensorSuite`` says, from a first scan at time 0 on.
 
     Physical contact is not simulated: robots pass through each other, walls and pillars, and overlaps are
     recorded.
@@ -87,7 +87,7 @@ class World:
         self._collided = np.zeros(worlds, dtype=np.bool_)
         self._hit_arena = np.zeros(worlds, dtype=np.bool_)
         self._time = 0.0
-        self._senses = Senses(profile, self._poses, self._active, seeds)
+        self._senses = SensorSuite(profile, self._poses, self._active, seeds)
         self._record()
         if not profile.lidar.rolling:
             self._senses.finish(self._snapshot(), self._poses, self._active)

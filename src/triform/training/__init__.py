@@ -1,6 +1,6 @@
 """Learning: one loop, its presets and its logs."""
 
-from triform.training.books import Progress
+from triform.training.checkpoints import Progress
 from triform.training.loop import train
 from triform.training.presets import PRESETS, Precision, TrainConfig, get_preset
 

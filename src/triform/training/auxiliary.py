@@ -115,7 +115,7 @@ def token_loss(predicted: Tensor, targets: Tensor, valid: Tensor) -> Tensor:
     return torch.where(valid, each, 0.0).sum()
 
 
-def fact_loss(predicted: Tensor, facts: Tensor) -> Tensor:
-    """Sum over maps of the losses of the facts of the triangulating law, both (M, FACTS)."""
+def feature_loss(predicted: Tensor, facts: Tensor) -> Tensor:
+    """Sum over maps of the losses of the facts of the triangulating law, both (M, FEATURES)."""
     gates = functional.binary_cross_entropy_with_logits(predicted[:, :_GATES], facts[:, :_GATES], reduction="none")
     return (0.1 * gates.sum(1) + 0.1 * (predicted[:, _GATES:] - facts[:, _GATES:]).square().sum(1)).sum()

@@ -23,7 +23,7 @@ from triform.dataset import (
     FreshBatch,
     Records,
     Split,
-    VisitedStates,
+    StateBuffer,
     draw_fresh,
     draw_states,
     draw_views,
@@ -31,7 +31,7 @@ from triform.dataset import (
     neighbours,
 )
 from triform.files import sha256
-from triform.policy import GnnConfig, PackedMaps, TeamGraph, map_network, pack
+from triform.policy import GnnConfig, PackedMaps, RadiusGraph, map_network, pack
 from triform.policy.kinds import network_inputs
 from triform.policy.network import to_device
 from triform.training.auxiliary import edge_targets, token_targets
@@ -62,11 +62,11 @@ class TrainBatch:
         commands: What the network is to answer for the maps that are meant, shape (M, outputs).
         targets: Auxiliary targets of the tokens, shape (K, TARGETS).
         valid: Tokens that have targets, shape (K,).
-        facts: Facts of the triangulating law for the maps that are meant, shape (M, FACTS), or (M, 0) without it.
+        facts: Facts of the triangulating law for the maps that are meant, shape (M, FEATURES), or (M, 0) without it.
         maps: Maps of the whole mini-batch.
     """
 
-    packed: PackedMaps | TeamGraph
+    packed: PackedMaps | RadiusGraph
     commands: NDArray[np.float32]
     targets: NDArray[np.float32]
     valid: NDArray[np.bool_]
@@ -259,7 +259,7 @@ class SceneSource(DrawnSource):
             raise TriformError(f"the preset {config.preset!r} says neither how many maps to draw nor from which scenes")
         super().__init__(config, config.maps)
         self._scenes = config.scenes
-        self.visited = VisitedStates.none()
+        self.visited = StateBuffer.none()
 
     def _draw(self, stream: int, index: int, processes: Processes) -> TrainBatch:
         config = self._config

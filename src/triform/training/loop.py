@@ -13,13 +13,14 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from triform.control._triangulating_kernels import FACTS
+from triform.control.triangulating_kernels import FEATURES
 from triform.files import exclusive, make_folder, write_atomically
 from triform.policy import describe_network
 from triform.policy.kinds import make_network
-from triform.training.auxiliary import TARGETS, AuxiliaryHead, fact_loss, token_loss
+from triform.training.auxiliary import TARGETS, AuxiliaryHead, feature_loss, token_loss
 from triform.training.batches import DeviceBatch, SceneSource, TrainBatch, open_source
-from triform.training.books import STATE_FILE, Books, Progress
+from triform.training.checkpoints import STATE_FILE, Checkpoints, Progress
+from triform.training.dagger import collect_states
 from triform.training.flat import FlatParameters
 from triform.training.precision import matrix_products, reduced
 from triform.training.prefetch import Prefetched
@@ -27,7 +28,6 @@ from triform.training.presets import TrainConfig
 from triform.training.processes import Processes, joined, local_device
 from triform.training.state import load_state, read_progress
 from triform.training.stopping import stop_requests
-from triform.training.visits import visit_states
 from triform.types import TriformError, require
 
 CONFIG_FILE = "train.json"
@@ -63,7 +63,7 @@ class Learner(nn.Module):
         self.policy = make_network(config.network)
         network, wanted = config.network, config.auxiliary > 0
         self.auxiliary = AuxiliaryHead(network.token_width, TARGETS) if wanted else None
-        self.facts = AuxiliaryHead(network.dim, FACTS) if wanted and config.scenes is not None else None
+        self.facts = AuxiliaryHead(network.dim, FEATURES) if wanted and config.scenes is not None else None
 
     def losses(self, batch: DeviceBatch, config: TrainConfig, maps: float, tokens: float) -> tuple[Tensor, Tensor]:
         """Command loss and total loss of a mini-batch: sums over what it holds, over the numbers to divide by.
@@ -84,7 +84,7 @@ class Learner(nn.Module):
         if predicted is not None:
             total = total + config.auxiliary * token_loss(predicted.float(), batch.targets, batch.valid) / tokens
         if told is not None:
-            total = total + config.auxiliary * fact_loss(told.float(), batch.facts) / maps
+            total = total + config.auxiliary * feature_loss(told.float(), batch.facts) / maps
         return command, total
 
 
@@ -184,10 +184,10 @@ def train(
         books = None
         if isinstance(source, SceneSource):
             # Validation draws from the teacher's states too.
-            source.visited = visit_states(out, config, learner.policy, 0, processes)
+            source.visited = collect_states(out, config, learner.policy, 0, processes)
         if processes.first:
             policy = learner.policy
-            books = Books(out, config, source, learner, policy, optimizer, record, report, save_seconds)
+            books = Checkpoints(out, config, source, learner, policy, optimizer, record, report, save_seconds)
             held.enter_context(books)
         # Nobody writes a state that another has yet to read.
         processes.wait()
@@ -196,7 +196,7 @@ def train(
             if end <= record["step"]:
                 continue
             if isinstance(source, SceneSource):
-                source.visited = visit_states(out, config, learner.policy, number, processes)
+                source.visited = collect_states(out, config, learner.policy, number, processes)
             first = max(begin, record["step"])
             prefetched = Prefetched(source.batches(first, processes), producers)
             with prefetched as batches:

@@ -12,17 +12,17 @@ from triform.robots.gazebo.sdf import braked
 from triform.robots.gazebo.server import GazeboServer, State
 from triform.simulation.arena import Arena
 from triform.simulation.profiles import Profile
-from triform.simulation.senses import Senses
+from triform.simulation.sensors import SensorSuite
 from triform.types import BoolArray, FloatArray, PrivilegedView, TriformError, require
 
 
 class GazeboTeam:
     """One team in Gazebo, B = 1: a ``SimulatedTeam`` with the interface of ``triform.simulation.World``.
 
-    Bodies, contacts and motion are Gazebo's, and so are exact ranges; what ``Senses`` says of turns, errors, latency,
-    odometry and pushes is the same as in the built-in world. Everything happens at the end of a step of the physics:
-    a moment between two steps is that of the nearest one, and a rolling LiDAR looks once in every ``time_step`` of the
-    profile. Robots that touch are recorded as a collision, because solid bodies cannot overlap.
+    Bodies, contacts and motion are Gazebo's, and so are exact ranges; turns, errors, latency, odometry and
+    exploration noise come from ``SensorSuite``, the same as in the built-in world. Everything happens at the end of a
+    step of the physics: a moment between two steps is that of the nearest one, and a rolling LiDAR looks once in every
+    ``time_step`` of the profile. Robots that touch are recorded as a collision, because solid bodies cannot overlap.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class GazeboTeam:
         self._min_distance, self._touched, self._touched_arena = math.inf, False, False
         self._take(server.reset(placed[0], scan=True))
         sensing = replace(profile, drive=braked(profile.drive))
-        self._senses = Senses(sensing, self.poses, self.active, seeds)
+        self._senses = SensorSuite(sensing, self.poses, self.active, seeds)
         if not profile.lidar.rolling:
             self._senses.finish(self._ranges(), self.poses, self.active)
 

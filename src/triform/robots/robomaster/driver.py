@@ -14,7 +14,7 @@ from types import TracebackType
 
 import numpy as np
 
-from triform.robots.robomaster import keeper, protocol
+from triform.robots.robomaster import protocol, watchdog
 from triform.robots.robomaster.protocol import RoboMasterError
 from triform.robots.robomaster.telemetry import Telemetry
 from triform.types import FloatArray, require
@@ -26,7 +26,7 @@ USB_ADDRESS = "192.168.42.2"
 
 #: Rate of telemetry [Hz].
 _PUSH_RATE = 20
-#: Longest wait for the connection and each answer of the robot, and for the keeper to start or end [s].
+#: Longest wait for the connection and each answer of the robot, and for the watchdog to start or end [s].
 _PATIENCE = 5.0
 _KEEPER_ENDED = "the process that keeps its wheels has ended"
 
@@ -34,10 +34,10 @@ _KEEPER_ENDED = "the process that keeps its wheels has ended"
 class RoboMaster:
     """The wheels of one RoboMaster EP, and its odometry.
 
-    Commands go through a small process of its own, the keeper, which stops the wheels when no fresh one comes, and when
-    this process closes the robot or ends in any way. ``drive`` never waits: what the robot answers is looked at in the
-    next call. A robot that answers with an error, late or not at all is given up: the keeper stops its wheels, if they
-    can still be reached, and every later command raises the same error.
+    Commands go through a small process of its own, the watchdog, which stops the wheels when no fresh one comes, and
+    when this process closes the robot or ends in any way. ``drive`` never waits: what the robot answers is looked at in
+    the next call. A robot that answers with an error, late or not at all is given up: the watchdog stops its wheels, if
+    they can still be reached, and every later command raises the same error.
 
     Attributes:
         battery: Charge when it was connected, in percent; ``None`` if the robot does not tell.
@@ -126,7 +126,7 @@ class RoboMaster:
         Raises:
             RoboMasterError: The robot is lost or has refused a command.
         """
-        self._send(keeper.STOP)
+        self._send(watchdog.STOP)
 
     def odometry(self, at: float) -> FloatArray | None:
         """Pose at a moment, in the frame in which the robot was switched on.
@@ -155,16 +155,16 @@ class RoboMaster:
         """Enter SDK mode and return the charge of the battery in percent, ``None`` if the robot does not know it."""
         entered = self._ask(robot, "command;")
         # So says a robot that has not noticed yet that the last driver has left.
-        if entered not in (keeper.OK, "Already in SDK mode"):
+        if entered not in (watchdog.OK, "Already in SDK mode"):
             raise RoboMasterError(f'{self._name} does not enter SDK mode: it answers "{entered}"')
         battery = self._ask(robot, "robot battery ?;")
         for command in (
             "robot mode free;",
             f"chassis push position on pfreq {_PUSH_RATE} attitude on afreq {_PUSH_RATE};",
-            keeper.STOP,
+            watchdog.STOP,
         ):
             answer = self._ask(robot, command)
-            if answer != keeper.OK:
+            if answer != watchdog.OK:
                 raise RoboMasterError(f'{self._name} refuses "{command}": it answers "{answer}"')
         return int(battery) if battery.isdigit() else None
 
@@ -176,15 +176,15 @@ class RoboMaster:
             raise RoboMasterError(f'{self._name} does not answer "{command}": {error.strerror or error}') from error
         if not data:
             raise RoboMasterError(f'{self._name} closed the connection at "{command}"; does another program drive it?')
-        return " ".join(keeper.answers(data))
+        return " ".join(watchdog.answers(data))
 
     def _start_keeper(self, robot: socket.socket) -> tuple[subprocess.Popen[bytes], socket.socket]:
-        """Start the keeper and hand it the connection."""
+        """Start the watchdog and hand it the connection."""
         ours, theirs = socket.socketpair()
         ends = robot.fileno(), theirs.fileno()
         # -I and -S: nothing but the standard library. A session of its own: Ctrl-C and a closed terminal end the
-        # driving process alone, and the keeper notices that.
-        arguments = [sys.executable, "-I", "-S", keeper.__file__, *map(str, (*ends, self._watchdog, os.getpid()))]
+        # driving process alone, and the watchdog notices that.
+        arguments = [sys.executable, "-I", "-S", watchdog.__file__, *map(str, (*ends, self._watchdog, os.getpid()))]
         lost = f"the process that keeps the wheels of {self._name} did not start"
         try:
             with theirs:
@@ -194,7 +194,7 @@ class RoboMaster:
             raise RoboMasterError(f"{lost}: {error.strerror}") from error
         ours.settimeout(_PATIENCE)
         with suppress(OSError):
-            if ours.recv(4096) == f"{keeper.READY}\n".encode():
+            if ours.recv(4096) == f"{watchdog.READY}\n".encode():
                 ours.setblocking(False)
                 return process, ours
         ours.close()
@@ -231,7 +231,7 @@ class RoboMaster:
 
     def _take(self, line: str) -> None:
         sent, answered, answer = line.split(" ", 2)
-        if answer != keeper.OK:
+        if answer != watchdog.OK:
             self._fail(f'it says "{answer}"')
         if float(answered) - float(sent) > self._watchdog:
             self._fail(f"it answered after {float(answered) - float(sent):.2f} s")
@@ -239,7 +239,7 @@ class RoboMaster:
             self._waiting.popleft()
 
     def _fail(self, reason: str) -> None:
-        """Give the robot up: the keeper stops its wheels and leaves."""
+        """Give the robot up: the watchdog stops its wheels and leaves."""
         self._failure = f"{self._name} is lost: {reason}"
         self._channel.close()
         raise RoboMasterError(self._failure)

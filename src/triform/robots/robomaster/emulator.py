@@ -12,7 +12,7 @@ from types import TracebackType
 import numpy as np
 
 from triform.robots.robomaster import protocol
-from triform.robots.robomaster.keeper import OK
+from triform.robots.robomaster.watchdog import OK
 from triform.types import FloatArray
 
 #: Longest wait before the emulator looks at what others have asked of it [s].

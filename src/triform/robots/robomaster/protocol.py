@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from triform.robots.robomaster.keeper import STOP
+from triform.robots.robomaster.watchdog import STOP
 from triform.types import FloatArray, TriformError
 
 #: Where the robot takes commands (TCP).

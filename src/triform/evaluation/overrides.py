@@ -1,0 +1,109 @@
+"""How the robots of a run differ from their profile: the conditions that a scenario may change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from triform.simulation import ROBOMASTER_EP, Footprint, LidarConfig, Profile, constant_noise
+from triform.types import SENSING_RANGE, TriformError, require
+
+#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, centred on the
+#: LiDAR as all footprints are; circles are named after their radius in centimetres, the box after its side.
+FOOTPRINTS = {
+    "ep": ROBOMASTER_EP,
+    "engineer": Footprint.box(0.410, 0.240),
+    "circle-5": Footprint.circle(0.10),
+    "circle-10": Footprint.circle(0.20),
+    "circle-15": Footprint.circle(0.30),
+    "circle-20": Footprint.circle(0.40),
+    "box-30": Footprint.box(0.30, 0.30),
+}
+
+#: How far a LiDAR reaches at most [m]; a robot uses 2 d* of it.
+LIDAR_REACH = 8.0
+
+
+def get_footprint(name: str) -> Footprint:
+    """Return the footprint called ``name``.
+
+    Raises:
+        TriformError: If there is no such footprint.
+    """
+    if name not in FOOTPRINTS:
+        raise TriformError(f"there is no footprint {name!r}; known footprints are {', '.join(FOOTPRINTS)}")
+    return FOOTPRINTS[name]
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What replaces the profile's own values; ``None`` keeps them.
+
+    Attributes:
+        range_noise: Standard deviation of measured ranges, the same at every distance [m].
+        dropout: Share of rays that return nothing valid.
+        scan_rate: LiDAR turns per second [Hz]. A profile whose commands keep step with its scans, such as the ideal
+            one, also takes this many commands per second; the hardware profile keeps its own control period.
+        latency: Time from a finished scan until a command can use it [s].
+        speed_limit: Largest translational speed of the base [m/s]; limits of single axes stay.
+        acceleration: Largest translational acceleration of the base [m/s^2].
+        lag: Time constant of the base's first-order lag [s].
+        footprint: Name of the robots' outline, one of ``FOOTPRINTS``.
+    """
+
+    range_noise: float | None = None
+    dropout: float | None = None
+    scan_rate: float | None = None
+    latency: float | None = None
+    speed_limit: float | None = None
+    acceleration: float | None = None
+    lag: float | None = None
+    footprint: str | None = None
+
+    def __post_init__(self) -> None:
+        noise, dropout, rate = self.range_noise, self.dropout, self.scan_rate
+        latency, speed = self.latency, self.speed_limit
+        require(noise is None or 0 <= noise < np.inf, f"range_noise is {noise} m; it must be finite and not negative")
+        require(dropout is None or 0 <= dropout <= 1, f"dropout is {dropout}; it is a share between 0 and 1")
+        require(rate is None or 0 < rate < np.inf, f"scan_rate is {rate} Hz; it must be positive and finite")
+        require(latency is None or 0 <= latency < np.inf, f"latency is {latency} s; it must be finite and not negative")
+        require(speed is None or 0 < speed < np.inf, f"speed_limit is {speed} m/s; it must be positive and finite")
+        acceleration, lag = self.acceleration, self.lag
+        require(acceleration is None or acceleration > 0, f"acceleration is {acceleration} m/s^2; it must be positive")
+        require(lag is None or 0 <= lag < np.inf, f"lag is {lag} s; it must be finite and not negative")
+
+    def applied_to(self, profile: Profile, distance: float) -> Profile:
+        """Return ``profile`` under these conditions, seeing as far as the prescribed ``distance`` d* needs: 2 d* [m].
+
+        Raises:
+            TriformError: There is no such footprint.
+        """
+        drive, footprint, latency = profile.drive, profile.footprint, profile.latency
+        if self.speed_limit is not None:
+            drive = replace(drive, max_speed=self.speed_limit)
+        if self.acceleration is not None:
+            drive = replace(drive, max_acceleration=self.acceleration)
+        if self.lag is not None:
+            drive = replace(drive, lag=self.lag)
+        if self.footprint is not None:
+            footprint = get_footprint(self.footprint)
+        if self.latency is not None:
+            latency = self.latency
+        lidar = self._lidar(profile.lidar, distance)
+        in_step = profile.control_period == profile.lidar.period
+        control_period = lidar.period if in_step else profile.control_period
+        return replace(
+            profile, footprint=footprint, lidar=lidar, drive=drive, control_period=control_period, latency=latency
+        )
+
+    def _lidar(self, lidar: LidarConfig, distance: float) -> LidarConfig:
+        noise, dropout, period = lidar.noise, lidar.dropout, lidar.period
+        if self.range_noise is not None:
+            noise = constant_noise(self.range_noise) if self.range_noise > 0 else ()
+        if self.dropout is not None:
+            dropout = self.dropout
+        if self.scan_rate is not None:
+            period = 1 / self.scan_rate
+        scan = replace(lidar.scan, range_max=SENSING_RANGE * distance)
+        return replace(lidar, scan=scan, noise=noise, dropout=dropout, period=period)

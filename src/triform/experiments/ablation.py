@@ -1,0 +1,275 @@
+"""The triangulating law with each of its terms left out: the work of ``triform ablate``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from triform.control import Triangulating, TriangulatingLaw
+from triform.control.triangulating import BLOCKING_RADIUS
+from triform.evaluation.scenario import BulkScenario, Scenario
+from triform.experiments.grid import (
+    LARGE_TEAM,
+    LARGE_TEAM_TIME,
+    UNRECORDED,
+    Grid,
+    RunCell,
+    measure_waiting,
+    spread_out,
+)
+from triform.figures.ablation import ablation_figure
+from triform.figures.style import save_figure
+from triform.report.output import prepare_folder, write_json
+from triform.report.page import Section, spell_command, write_pages
+from triform.report.tables import drop_columns, require_parquet, rich_table
+from triform.simulation.noise import exploration_noise
+from triform.threads import limit_threads
+from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError, require
+
+#: Name of all files.
+_NAME = "ablation"
+_CONTROLLER = "triangulating"
+_ALWAYS_SAID = {"runs", "seed"}
+#: Options of a scenario that an ablation chooses itself.
+CHOSEN = ("controller", "weights")
+#: Moments farther apart than this have errors of their own [s].
+_NOISE_PERIOD = 1e-3
+
+#: Key in a summary and format of the columns, and how they are called.
+_MEASURES = (("strict", "strict", "%"), ("success", "success", "%"), ("strict at", "strict_time_median", "s"))
+#: Columns that a terminal of 80 characters has no room for begin so.
+_UNSHOWN = ("changed", "success", "strict at")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The law with something changed.
+
+    Attributes:
+        change: What is changed, as people read it.
+        constants: Values of the law that are not the tuned ones, by name.
+        blocking_radius: A robot hides who is behind a disc of this radius [m].
+        position_noise: Standard deviation of what is seen of another robot's position, along each axis [m].
+    """
+
+    change: str = "nothing"
+    constants: Mapping[str, float] = field(default_factory=dict)
+    blocking_radius: float = BLOCKING_RADIUS
+    position_noise: float = 0.0
+
+    @property
+    def law(self) -> TriangulatingLaw:
+        """The constants of the law."""
+        return replace(TriangulatingLaw(), **self.constants)
+
+
+def _without(*names: str) -> Variant:
+    """Return the law with constants set to 0."""
+    return Variant(" and ".join(f"{name} 0" for name in names), dict.fromkeys(names, 0.0))
+
+
+#: Every variant by its name. Strain does not reach 10, so that no edge yields.
+VARIANTS: dict[str, Variant] = {
+    "whole law": Variant(),
+    "no contact": _without("contact_gain"),
+    "no yield": Variant("yield_strain 10, a plain spring", {"yield_strain": 10.0}),
+    "no far pull": _without("far_gain"),
+    "no odd spring": _without("odd_gain"),
+    "no compaction": _without("compaction_speed"),
+    "no bridge pull": _without("bridge_pull"),
+    "no bridge push": _without("bridge_push"),
+    "no strain push": _without("strain_push"),
+    "no pushes": _without("bridge_push", "strain_push"),
+    "sight 2.0": Variant("sight 2.0 d*", {"sight": 2.0}),
+    "sees through robots": Variant("nobody hides anybody", blocking_radius=0.0),
+    "noisy positions": Variant("seen positions err by 2 cm", position_noise=0.02),
+}
+
+
+class NoisyPositions:
+    """A controller that sees poses, shown positions with random errors; a ``Controller[PrivilegedView]``.
+
+    Every position errs by itself, the robot's own too, and the same for all who see it, anew at every moment. Errors
+    are a function of the random pushes in the view and of the time, so a run does not depend on others in the batch.
+    """
+
+    privileged = True
+
+    def __init__(self, controller: Controller[PrivilegedView], noise: float) -> None:
+        """Disturb what a controller sees.
+
+        Args:
+            controller: Sees true poses.
+            noise: Standard deviation of one robot's position relative to another's, along each axis [m].
+        """
+        self._controller = controller
+        self._noise = noise
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What the controller says, and the noise."""
+        return {**self._controller.description, "position_noise": self._noise}
+
+    def command(self, view: PrivilegedView) -> FloatArray:
+        """Return body twists (B, N, 3).
+
+        Raises:
+            TriformError: If the view carries no random pushes.
+        """
+        if view.noise is None:
+            raise TriformError("noisy positions need a team whose views carry random pushes")
+        keys = np.ascontiguousarray(view.noise[:, 0, 0]).view(np.uint64)
+        moment = round(view.time / _NOISE_PERIOD) * NOISE_PERIOD
+        poses = view.poses.copy()
+        # The difference of two positions errs by both errors.
+        poses[..., :2] += self._noise / np.sqrt(2) * exploration_noise(keys, poses.shape[1], moment)
+        return self._controller.command(replace(view, poses=poses))
+
+
+@dataclass(frozen=True)
+class AblatedScenario(Scenario):
+    """Everything about a run of a variant but its start.
+
+    Attributes:
+        law: Constants of the law.
+        blocking_radius: A robot hides who is behind a disc of this radius [m].
+        position_noise: Standard deviation of what is seen of another robot's position, along each axis [m].
+    """
+
+    law: TriangulatingLaw = field(default_factory=TriangulatingLaw)
+    blocking_radius: float = BLOCKING_RADIUS
+    position_noise: float = 0.0
+
+    def make_unguarded(self) -> Controller[PrivilegedView]:
+        """Make the controller without the layer that guards it."""
+        law = Triangulating(self.distance, law=self.law, blocking_radius=self.blocking_radius)
+        return NoisyPositions(law, self.position_noise) if self.position_noise > 0 else law
+
+
+@dataclass(frozen=True)
+class AblateConfig(BulkScenario):
+    """Settings of an ablation of the triangulating law.
+
+    Attributes:
+        robots: Team sizes; teams of more than 13 robots get three times the duration.
+        runs: Runs of every variant and team size.
+        seed: A run is a function of team size, seed and index alone.
+        output: Folder for the results, from which an ablation that was stopped goes on.
+    """
+
+    controller: str = _CONTROLLER
+    robots: tuple[int, ...] = (5, 9, 13, 25)
+    runs: int = 100
+    seed: int = 7
+    output: Path = Path(_NAME)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(
+            self.controller == _CONTROLLER and self.weights is None,
+            f"the controller is {self.controller!r} with weights {self.weights!r}; an ablation is of the triangulating "
+            "law, so they cannot be chosen",
+        )
+        require(len(self.robots) > 0, "robots is empty; at least one team size is needed")
+        for robots in self.robots:
+            require(robots >= 3, f"robots is {robots}; a team has at least 3 robots, or it can never be strict")
+        require(self.runs >= 1, f"runs is {self.runs}; at least 1 is needed")
+        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+
+    @property
+    def columns(self) -> list[tuple[str, int]]:
+        """Profile and team size of the columns of the table."""
+        return [(self.profile, robots) for robots in dict.fromkeys(self.robots)]
+
+    @property
+    def cells(self) -> list[RunCell]:
+        """What is run, variant by variant."""
+        shared = {each.name: getattr(self, each.name) for each in fields(Scenario)}
+        cells = []
+        for label, variant in VARIANTS.items():
+            scenario = AblatedScenario(
+                **shared,
+                law=variant.law,
+                blocking_radius=variant.blocking_radius,
+                position_noise=variant.position_noise,
+            )
+            longer = replace(scenario, duration=LARGE_TEAM_TIME * self.duration)
+            for _, robots in self.columns:
+                cells.append(RunCell(label, longer if robots > LARGE_TEAM else scenario, robots, self.runs))
+        return cells
+
+    @property
+    def command(self) -> str:
+        """The command that makes the ablation again."""
+        return spell_command(["triform", "ablate"], self, _ALWAYS_SAID, {*UNRECORDED, *CHOSEN})
+
+
+def run_ablate(config: AblateConfig, console: Console) -> list[Path]:
+    """Run all variants with all team sizes, with progress, and write tables, a figure and a page.
+
+    The tables are rewritten whenever a cell is done. The same command goes on from there.
+
+    Args:
+        config: What to run and where to put it.
+        console: Where to show progress and the table.
+
+    Returns:
+        The pages written.
+
+    Raises:
+        TriformError: The folder cannot be written or holds something else.
+    """
+    prepare_folder(config.output)
+    require_parquet()
+    with limit_threads(config.threads), config.open_engine() as engine:
+        measured = Grid(config.output / f"{_NAME}.parquet", config.cells, config.seed)
+        measure_waiting(measured, engine, console, lambda seconds: _write(config, measured, seconds))
+    summaries = measured.summaries()
+    save_figure(ablation_figure(summaries, measured.labels), config.output / f"{_NAME}.png")
+    section = make_section(config, summaries)
+    unshown = [heading for heading in section.headings if heading.startswith(_UNSHOWN)]
+    console.print(rich_table(section.title, *drop_columns(section.headings, section.rows, unshown)))
+    pages = write_pages(config.output, "What the terms of the triangulating law are for", [section], _NAME)
+    for path in [*(config.output / name for name in (*section.files, section.image)), *pages]:
+        console.print(f"wrote {path}", soft_wrap=True)
+    return pages
+
+
+def make_section(config: AblateConfig, summaries: Sequence[dict[str, Any]]) -> Section:
+    """Return the page's section over what ``Grid.summaries`` returned."""
+    text = (
+        f"{config.runs} random starts per variant and team size with seed {config.seed}, {config.duration:g} s each, "
+        f"{LARGE_TEAM_TIME * config.duration:g} s for more than {LARGE_TEAM} robots; profile {config.profile}, arena "
+        f"{config.arena}, prescribed distance {config.distance:g} m, {'behind' if config.guard else 'without'} the "
+        "layer that keeps robots from driving into what their scans show. Robots see true positions in range that "
+        "nobody hides. Strict: the run ends in a true triangulation; success: the formation error of the last 5 s is "
+        "below 10 %; strict at: median time from which runs are strict to the end, of those that are. Numbers in "
+        "headings: robots. Bars are Wilson's 95 % intervals, the vertical line is the whole law."
+    )
+    headings = ["law", "changed"] + [f"{title} {robots}" for title, _, _ in _MEASURES for _, robots in config.columns]
+    rows = []
+    for label, variant in VARIANTS.items():
+        row = [label, variant.change]
+        for _, key, kind in _MEASURES:
+            row += spread_out(summaries, label, config.columns, key, kind)
+        rows.append(row)
+    files = [f"{_NAME}.json", f"{_NAME}.parquet"]
+    return Section(
+        _NAME, "The law without each of its terms", text, config.command, headings, rows, f"{_NAME}.png", files
+    )
+
+
+def _write(config: AblateConfig, measured: Grid, wall_seconds: float) -> None:
+    """Write the summaries of everything that is done."""
+    values = {
+        "config": {name: value for name, value in asdict(config).items() if name not in (*UNRECORDED, *CHOSEN)},
+        "wall_seconds": round(wall_seconds, 3),
+        "variants": {label: asdict(variant) | {"law": asdict(variant.law)} for label, variant in VARIANTS.items()},
+        "cells": measured.summaries(),
+    }
+    write_json(config.output / f"{_NAME}.json", values)

@@ -1,0 +1,117 @@
+"""Figures of recorded runs, in the manner of the paper's experiments with real robots: Fig. 7, 8 and 9."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from triform.evaluation.metrics import RunTable
+from triform.evaluation.rollout import Trajectory
+from triform.figures.paper import figure_9
+from triform.figures.runs import Scene, draw_distances, draw_error, draw_trajectories, present
+from triform.figures.style import (
+    Axes,
+    Figure,
+    LineCollection,
+    PolyCollection,
+    bounds,
+    figure_style,
+    footprint_outlines,
+    heading_marks,
+    plt,
+    robot_colours,
+    save_figure,
+)
+from triform.simulation import Arena, Footprint
+
+#: Fig. 7 and 8 show the first so many runs, so many side by side.
+SHOWN, _COLUMNS = 8, 4
+
+
+def draw_recorded(
+    trajectories: Sequence[Trajectory], runs: RunTable, footprint: Footprint, distance: float, folder: Path
+) -> list[Path]:
+    """Draw all figures of recorded runs.
+
+    Args:
+        trajectories: The runs, each with B = 1.
+        runs: Their measures, one row per run.
+        footprint: Outline of the robots.
+        distance: Prescribed neighbour distance d* [m].
+        folder: Where to put them.
+
+    Returns:
+        The files written.
+    """
+    scene = Scene(footprint, Arena.open(), distance)
+    shown = trajectories[:SHOWN]
+    return [
+        save_figure(figure_7(shown, scene), folder / "fig7.png"),
+        save_figure(figure_8(shown, scene), folder / "fig8.png"),
+        save_figure(figure_9(runs, "recorded"), folder / "fig9.png"),
+    ]
+
+
+def figure_7(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
+    """Draw the paths of single runs from the first poses (outlines) to the last ones (filled), and the final graph."""
+    with figure_style():
+        figure, panels = _panels(len(trajectories), 3.0)
+        half_side = max(bounds(trajectory.positions, scene.arena)[1] for trajectory in trajectories)
+        for index, (axes, trajectory) in enumerate(zip(panels[0], trajectories, strict=True)):
+            draw_trajectories(axes, trajectory, scene, half_side)
+            _draw_first_poses(axes, trajectory, scene.footprint)
+            axes.set_title(_title(index, trajectory), loc="left")
+            axes.set_ylabel("y [m]" if index % _COLUMNS == 0 else "")
+    return figure
+
+
+def figure_8(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
+    """Draw the distances of the final neighbours of single runs over time, and below them the formation error."""
+    with figure_style():
+        figure, (uppers, lowers) = _panels(len(trajectories), 2.2, parts=2)
+        for index, trajectory in enumerate(trajectories):
+            upper, lower = uppers[index], lowers[index]
+            draw_distances(upper, trajectory, scene)
+            upper.set_title(_title(index, trajectory), loc="left")
+            upper.set_xlabel("")
+            draw_error(lower, trajectory, scene)
+            if index % _COLUMNS > 0:
+                upper.set_ylabel("")
+                lower.set_ylabel("")
+        lowers[0].legend(loc="upper right")
+        for row in (uppers, lowers):
+            top = max(axes.get_ylim()[1] for axes in row)
+            for axes in row:
+                axes.set_ylim(0, top)
+    return figure
+
+
+def _panels(count: int, height: float, parts: int = 1) -> tuple[Figure, list[list[Axes]]]:
+    """Return a figure with so many panels, in blocks of ``parts`` rows of ``height`` [inch], and the panels by part."""
+    columns = min(count, _COLUMNS)
+    blocks = -(-count // columns)
+    figure, grid = plt.subplots(
+        parts * blocks, columns, figsize=(max(5.0, 3.0 * columns), height * parts * blocks), squeeze=False
+    )
+    by_part: list[list[Axes]] = [list(grid[part::parts].flat) for part in range(parts)]
+    for unused in [axes for panels in by_part for axes in panels[count:]]:
+        unused.remove()
+    return figure, [panels[:count] for panels in by_part]
+
+
+def _title(index: int, trajectory: Trajectory) -> str:
+    return f"run {index}, {len(present(trajectory, -1))} robots"
+
+
+def _draw_first_poses(axes: Axes, trajectory: Trajectory, footprint: Footprint) -> None:
+    """Draw where the robots that are there at the end were first: their outlines with a line towards the front."""
+    poses = trajectory.poses[0][:, present(trajectory, -1)]
+    here = np.argmax(np.isfinite(poses[..., 0]), axis=0)
+    first = poses[here, np.arange(poses.shape[1])]
+    colours: Any = robot_colours(len(first))
+    outlines = footprint_outlines(first, footprint)
+    axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=colours, linewidths=0.9, zorder=3))
+    axes.add_collection(LineCollection(heading_marks(first, footprint), colors=colours, linewidths=0.9, zorder=3))

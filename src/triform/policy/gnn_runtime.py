@@ -1,0 +1,71 @@
+"""Running a graph network with ONNX Runtime, without PyTorch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from triform.policy.checkpoint import ONNX_FILE, PolicySpec, read_spec
+from triform.policy.config import GnnConfig
+from triform.policy.radius_graph import EDGE_FEATURES, RadiusGraph
+from triform.policy.runtime import open_session
+from triform.types import ConfigurationError, FloatArray, TriformError, require
+
+
+class GnnRuntime:
+    """A graph network that drives teams whose robots talk; may be called from several threads at once."""
+
+    def __init__(self, folder: Path, threads: int = 1) -> None:
+        """Load the policy in ``folder``.
+
+        Args:
+            folder: Holds ``model.onnx``, ``model.safetensors`` and ``model.json``.
+            threads: Threads of one call.
+
+        Raises:
+            TriformError: If the folder holds no exported policy, it cannot be loaded, or it is no graph network.
+        """
+        self.folder = folder
+        self.spec: PolicySpec = read_spec(folder)
+        if not isinstance(self.spec.network, GnnConfig):
+            raise ConfigurationError(f"the policy in {folder} reads occupancy maps; a graph network is needed")
+        self.network: GnnConfig = self.spec.network
+        self._session = open_session(folder, self.spec, threads)
+        inputs = {each.name: each.shape for each in self._session.get_inputs()}
+        outputs = self._session.get_outputs()[0].shape[-1]
+        found = inputs.get("features", [None])[-1]
+        if (found, outputs) != (EDGE_FEATURES, self.network.outputs):
+            raise TriformError(
+                f"{folder / ONNX_FILE} reads edges of {found} numbers and gives {outputs}; its description says "
+                f"{EDGE_FEATURES} and {self.network.outputs}"
+            )
+
+    def commands(self, teams: RadiusGraph) -> FloatArray:
+        """What all M robots of some teams are to do, shape (M, outputs), in units of d*.
+
+        What a robot gets is the same to the bit whatever other teams are in the call.
+
+        Raises:
+            ConfigurationError: If an edge ends at no robot, or edges have another number of features.
+        """
+        robots, edges = teams.robots, len(teams.receivers)
+        ends = np.concatenate([teams.receivers, teams.senders])
+        require(
+            teams.features.shape == (edges, EDGE_FEATURES) and len(ends) == 2 * edges
+            and bool(((ends >= 0) & (ends < robots)).all()),
+            f"edges with features of shape {teams.features.shape} between {robots} robots given; (E, {EDGE_FEATURES}) "
+            "is needed, and each end must be a robot",
+        )  # fmt: skip
+        # Two more robots hear each other: a matrix of a single row is multiplied in another order than one of several.
+        features = np.zeros((edges + 2, EDGE_FEATURES), dtype=np.float32)
+        features[:edges] = teams.features
+        given = {
+            "features": features,
+            "receivers": np.append(teams.receivers, [robots, robots + 1]),
+            "senders": np.append(teams.senders, [robots + 1, robots]),
+            "robots": np.array([robots + 2], dtype=np.int64),
+        }
+        (out,) = self._session.run(["commands"], given)
+        answers: FloatArray = out[:robots].astype(np.float64)
+        return answers

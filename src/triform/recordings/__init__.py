@@ -1,0 +1,1 @@
+"""Recorded runs: formats, resampling, measures."""

@@ -1,0 +1,182 @@
+"""Recorded runs as trajectories: gaps filled, moments evened out, comings and goings told from gaps."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from triform.evaluation.metrics import WINDOW
+from triform.evaluation.rollout import Trajectory
+from triform.geometry import wrap_angle
+from triform.recordings.formats import RawRun, Track, natural, read_array, read_csv, read_parquet
+from triform.recordings.motive import SIGNATURE, read_motive
+from triform.types import FloatArray, TriformError
+
+#: A robot that is not seen for so long [s] is somewhere between where it was and where it will be.
+LONGEST_GAP = 0.5
+#: Records that are closer together [s] than those of any camera come in bursts, and are evened out at this period [s].
+_SHORTEST_PERIOD, _BURST_PERIOD = 0.001, 0.1
+#: What is closer than this share of a period is the same moment.
+_SAME_MOMENT = 0.01
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recorded run.
+
+    Attributes:
+        label: Which run of which file it is.
+        robots: Names of the robots, in the order of the trajectory.
+        trajectory: The run, B = 1, evenly spaced from 0 s; its commands are not known and ``NaN``.
+        changes: Sentences that say which robots come and go.
+    """
+
+    label: str
+    robots: tuple[str, ...]
+    trajectory: Trajectory
+    changes: tuple[str, ...]
+
+
+def read_recordings(
+    path: Path, rate: float | None = None, start: float = 0.0, end: float | None = None
+) -> list[Recording]:
+    """Read all runs of a file.
+
+    Args:
+        path: Poses in ``.csv``, ``.parquet`` or ``.npy``, or a Motive export in ``.csv``.
+        rate: Records per second of an ``.npy`` file [Hz].
+        start: What comes earlier after the first record of a run is left out [s].
+        end: What comes later is left out [s]; nothing by default.
+
+    Returns:
+        The runs by growing number.
+
+    Raises:
+        TriformError: The file cannot be read, or a run cannot be measured; one sentence says why and where.
+    """
+    try:
+        raw = _read(path, rate)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = "it is no text" if isinstance(error, UnicodeDecodeError) else getattr(error, "strerror", None)
+        raise TriformError(f"{path} cannot be read: {(reason or str(error)).lower()}") from None
+    recordings = [even_out(run, start, end) for run in raw]
+    if not recordings:
+        raise TriformError(f"{path} holds no poses")
+    return recordings
+
+
+def _read(path: Path, rate: float | None) -> list[RawRun]:
+    if path.suffix == ".npy":
+        return read_array(path, rate)
+    if path.suffix == ".parquet":
+        return read_parquet(path)
+    if path.suffix != ".csv":
+        raise TriformError(f"{path} ends in {path.suffix!r}; recordings are read from .csv, .parquet or .npy")
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        is_motive = file.read(len(SIGNATURE)) == SIGNATURE
+    return read_motive(path) if is_motive else read_csv(path)
+
+
+def even_out(run: RawRun, start: float = 0.0, end: float | None = None) -> Recording:
+    """Return the poses of a run at evenly spaced moments.
+
+    The period is the median one of the records; where records are evenly spaced already, they stay as they are.
+    Between records positions move on straight lines, and headings the shortest way round. A robot exists from its first
+    record to its last one. The run begins when all robots are there whose first record is within 0.5 s of
+    the very first, and ends likewise.
+
+    Args:
+        run: The tracks as they were recorded.
+        start: What comes earlier after the first record is left out [s].
+        end: What comes later is left out [s]; nothing by default.
+
+    Raises:
+        TriformError: A robot is not seen for more than 0.5 s and then again, less than 5 s are left, or there are
+            never two robots at a time.
+    """
+    whole = {name: run.tracks[name] for name in sorted(run.tracks, key=natural) if len(run.tracks[name].time)}
+    if not whole:
+        raise TriformError(f"{run.label} holds no poses")
+    zero = min(float(track.time[0]) for track in whole.values())
+    tracks = _cut(whole, zero + start, np.inf if end is None else zero + end)
+    for name, track in tracks.items():
+        _refuse_gaps(f"{run.label}: robot {name}", track.time, zero)
+    period = _period(run.label, tracks)
+    margin = _SAME_MOMENT * period
+    firsts = np.array([track.time[0] for track in tracks.values()])
+    lasts = np.array([track.time[-1] for track in tracks.values()])
+    begin = float(firsts[firsts <= firsts.min() + LONGEST_GAP].max())
+    finish = float(lasts[lasts >= lasts.max() - LONGEST_GAP].min())
+    if finish - begin < WINDOW - margin:
+        raise TriformError(
+            f"{run.label} lasts {max(0.0, finish - begin):.3g} s; a run is measured over its last {WINDOW:g} s, "
+            "so it must last at least that long"
+        )
+    time = np.linspace(0.0, finish - begin, round((finish - begin) / period) + 1)
+    tracks = {
+        name: track
+        for name, track in tracks.items()
+        if track.time[0] <= finish + margin and track.time[-1] >= begin - margin
+    }
+    poses = np.stack([_interpolated(track, begin + time, margin) for track in tracks.values()], axis=1)
+    active = np.isfinite(poses[..., 0])
+    if active.sum(axis=1).max() < 2:
+        raise TriformError(f"{run.label} has never two robots at a time; a formation has at least two")
+    unknown = np.broadcast_to(np.nan, (1, len(time) - 1, len(tracks), 3))
+    changes = _changes(run.label, tracks, begin, finish, margin)
+    return Recording(run.label, tuple(tracks), Trajectory(time, poses[None], active[None], unknown), changes)
+
+
+def _cut(tracks: dict[str, Track], low: float, high: float) -> dict[str, Track]:
+    """Return what was seen from ``low`` to ``high`` [s], without the robots that were not."""
+    cut = {}
+    for name, track in tracks.items():
+        first, last = np.searchsorted(track.time, [low - 1e-6, high + 1e-6])
+        if last > first:
+            cut[name] = Track(track.time[first:last], track.poses[first:last])
+    return cut
+
+
+def _period(label: str, tracks: dict[str, Track]) -> float:
+    """Return the time between two of the even moments [s]."""
+    if not any(len(track.time) > 1 for track in tracks.values()):
+        raise TriformError(f"{label} has no two records of a robot to measure")
+    periods = np.concatenate([np.diff(track.time) for track in tracks.values()])
+    ratios = periods / np.median(periods)
+    # Times are rounded, so the median alone would gain or lose records over a long run.
+    period = float(periods[(ratios > 0.5) & (ratios < 1.5)].mean())
+    return period if period >= _SHORTEST_PERIOD else _BURST_PERIOD
+
+
+def _changes(label: str, tracks: dict[str, Track], begin: float, finish: float, margin: float) -> tuple[str, ...]:
+    """Say which robots come after ``begin`` and go before ``finish`` [s]; times that are said count from ``begin``."""
+    changes = []
+    for name, track in tracks.items():
+        if track.time[0] > begin + margin:
+            changes.append(f"{label}: robot {name} comes at {track.time[0] - begin:.2f} s")
+        if track.time[-1] < finish - margin:
+            changes.append(f"{label}: robot {name} goes at {track.time[-1] - begin:.2f} s")
+    return tuple(changes)
+
+
+def _refuse_gaps(where: str, time: FloatArray, zero: float) -> None:
+    """Refuse a robot that is not seen for too long; times in the message count from ``zero`` [s]."""
+    gaps = np.diff(time) > LONGEST_GAP + 1e-6
+    if gaps.any():
+        first = int(np.argmax(gaps))
+        raise TriformError(
+            f"{where} has no record from {time[first] - zero:.2f} s to {time[first + 1] - zero:.2f} s; "
+            f"gaps of at most {LONGEST_GAP:g} s are filled, so cut the run with start and end"
+        )
+
+
+def _interpolated(track: Track, time: FloatArray, margin: float) -> FloatArray:
+    """Return the poses of a robot at given moments, shape (T, 3); ``NaN`` before and after its track."""
+    headings = np.unwrap(track.poses[:, 2])
+    columns = [np.interp(time, track.time, values) for values in (*track.poses[:, :2].T, headings)]
+    poses = np.stack([*columns[:2], wrap_angle(columns[2])], axis=1)
+    poses[(time < track.time[0] - margin) | (time > track.time[-1] + margin)] = np.nan
+    return poses

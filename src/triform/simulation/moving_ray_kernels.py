@@ -1,0 +1,224 @@
+"""Compiled ray casting ray by ray, for rays at perturbed angles or at different moments.
+
+Equations and conventions are those of ``_ray_kernels``, which is some 20 times faster where all rays are evenly
+spaced and measured at once.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from triform.geometry.cells import pairs_within
+from triform.simulation.ray_kernels import body_reach
+
+
+@njit(cache=True, nogil=True)
+def _distance_to_circle(x: float, y: float, radius: float, dx: float, dy: float) -> float:
+    across = dx * y - dy * x
+    along = dx * x + dy * y
+    if x * x + y * y <= radius * radius:
+        return 0.0
+    if along <= 0.0 or abs(across) > radius:
+        return math.inf
+    return along - math.sqrt(radius * radius - across * across)
+
+
+@njit(cache=True, nogil=True)
+def _distance_to_box(
+    x: float, y: float, cos: float, sin: float, half_length: float, half_width: float, dx: float, dy: float
+) -> float:
+    """Slab method in the box's own frame."""
+    nearest = 0.0
+    farthest = math.inf
+    for axis in range(2):
+        if axis == 0:
+            origin = -(x * cos + y * sin)
+            slope = dx * cos + dy * sin
+            half = half_length
+        else:
+            origin = -(y * cos - x * sin)
+            slope = dy * cos - dx * sin
+            half = half_width
+        if slope == 0.0:
+            if abs(origin) > half:
+                return math.inf
+            continue
+        first = (-half - origin) / slope
+        second = (half - origin) / slope
+        nearest = max(nearest, min(first, second))
+        farthest = min(farthest, max(first, second))
+    return nearest if nearest <= farthest else math.inf
+
+
+@njit(cache=True, nogil=True)
+def _distance_to_wall(x1: float, y1: float, x2: float, y2: float, dx: float, dy: float) -> float:
+    ex = x2 - x1
+    ey = y2 - y1
+    denominator = dx * ey - dy * ex
+    if denominator == 0.0:
+        return math.inf
+    along = (x1 * ey - y1 * ex) / denominator
+    share = (x1 * dy - y1 * dx) / denominator
+    return along if along >= 0.0 and 0.0 <= share <= 1.0 else math.inf
+
+
+@njit(cache=True, nogil=True)
+def list_near(poses: Any, active: Any, distance: float) -> tuple[Any, Any]:
+    """List for every robot the others within ``distance`` [m], whatever the number of robots.
+
+    Returns:
+        Offsets of shape (N + 1,) and robots: those near to robot i are ``robots[offsets[i] : offsets[i + 1]]``.
+    """
+    pairs = pairs_within(poses, active, distance * distance)
+    offsets = np.zeros(active.shape[0] + 1, dtype=np.int64)
+    for pair in range(pairs.shape[0]):
+        offsets[pairs[pair, 0] + 1] += 1
+        offsets[pairs[pair, 1] + 1] += 1
+    for i in range(active.shape[0]):
+        offsets[i + 1] += offsets[i]
+    filled = offsets[:-1].copy()
+    robots = np.empty(2 * pairs.shape[0], dtype=np.int64)
+    for pair in range(pairs.shape[0]):
+        for side in range(2):
+            i = pairs[pair, side]
+            robots[filled[i]] = pairs[pair, 1 - side]
+            filled[i] += 1
+    return offsets, robots
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _nearest_along(
+    i: int, dx: float, dy: float, places: Any, first: int, last: int, near: Any, around: float, body: Any,
+    walls: Any, pillars: Any,
+) -> float:  # fmt: skip
+    """Distance from robot ``i`` to the nearest obstacle in direction (dx, dy) [m]."""
+    nearest = math.inf
+    half_length, half_width, is_circle = body
+    x = places[i, 0]
+    y = places[i, 1]
+    for k in range(first, last):
+        j = near[k]
+        ox = places[j, 0] - x
+        oy = places[j, 1] - y
+        if abs(dx * oy - dy * ox) > around or dx * ox + dy * oy < -around:
+            continue
+        if is_circle:
+            found = _distance_to_circle(ox, oy, half_length, dx, dy)
+        else:
+            found = _distance_to_box(ox, oy, places[j, 3], places[j, 4], half_length, half_width, dx, dy)
+        nearest = min(nearest, found)
+    for w in range(walls.shape[0]):
+        found = _distance_to_wall(walls[w, 0] - x, walls[w, 1] - y, walls[w, 2] - x, walls[w, 3] - y, dx, dy)
+        nearest = min(nearest, found)
+    for p in range(pillars.shape[0]):
+        found = _distance_to_circle(pillars[p, 0] - x, pillars[p, 1] - y, pillars[p, 2], dx, dy)
+        nearest = min(nearest, found)
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def cast_moving(
+    start: Any,
+    end: Any,
+    active: Any,
+    near: Any,
+    body: Any,
+    walls: Any,
+    pillars: Any,
+    scan: Any,
+    offsets: Any,
+    first_ray: int,
+    last_ray: int,
+    first_share: float,
+    share_step: float,
+    out: Any,
+) -> None:
+    """Cast rays ``first_ray <= k < last_ray`` of one world while its robots move from ``start`` to ``end``.
+
+    Ray k is cast with every pose at the share ``first_share + (k - first_ray) * share_step`` of the way
+    (positions linear, headings along the shorter turn), at the angle of ray k plus ``offsets[i, k]``.
+
+    Args:
+        start: Poses at share 0, shape (N, 3) [m, m, rad].
+        end: Poses at share 1, shape (N, 3) [m, m, rad].
+        active: As in ``cast_world``, like the body and the arena.
+        near: Whom each robot may see, as ``list_near`` returns it.
+        body: See ``cast_world``.
+        walls: See ``cast_world``.
+        pillars: See ``cast_world``.
+        scan: (angle of the first ray [rad], range_min [m], range_max [m]).
+        offsets: Error of every ray's angle, shape (N, R) [rad], or (N, 0) for none.
+        first_ray: First ray to cast.
+        last_ray: One past the last ray to cast.
+        first_share: Share of the way at which the first ray is cast.
+        share_step: Share of the way between two rays; 0 casts all at one moment.
+        out: Ranges, shape (N, R); only the rays cast and only active robots are written [m].
+    """
+    robots = start.shape[0]
+    increment = 2 * math.pi / out.shape[1]
+    places = np.empty((robots, 5))
+    angle_min, range_min, range_max = scan
+    ends, others = near
+    around = body_reach(body)
+    for k in range(first_ray, last_ray):
+        if k == first_ray or share_step != 0.0:
+            share = min(max(first_share + (k - first_ray) * share_step, 0.0), 1.0)
+            for i in range(robots):
+                if active[i]:
+                    turn = end[i, 2] - start[i, 2]
+                    turn -= 2 * math.pi * math.floor(turn / (2 * math.pi) + 0.5)
+                    heading = start[i, 2] + share * turn
+                    places[i, 0] = start[i, 0] + share * (end[i, 0] - start[i, 0])
+                    places[i, 1] = start[i, 1] + share * (end[i, 1] - start[i, 1])
+                    places[i, 2] = heading
+                    places[i, 3] = math.cos(heading)
+                    places[i, 4] = math.sin(heading)
+        for i in range(robots):
+            if not active[i]:
+                continue
+            angle = places[i, 2] + angle_min + k * increment
+            if offsets.shape[1] > 0:
+                angle += offsets[i, k]
+            found = _nearest_along(
+                i, math.cos(angle), math.sin(angle), places, ends[i], ends[i + 1], others, around, body, walls, pillars
+            )
+            # As ``keep_nearest`` into an empty ray; rows of ``out`` are not taken, which costs in an inner loop.
+            out[i, k] = math.inf if found > range_max else -math.inf if found < range_min else found
+
+
+@njit(cache=True, nogil=True)
+def cast_moving_worlds(
+    start: Any,
+    end: Any,
+    active: Any,
+    body: Any,
+    walls: Any,
+    pillars: Any,
+    scan: Any,
+    offsets: Any,
+    share_step: float,
+    out: Any,
+    first: int,
+    last: int,
+) -> None:
+    """``cast_moving`` of whole turns for the worlds ``first <= b < last``; ``out`` must come filled with ``+inf``."""
+    for b in range(first, last):
+        travel = 0.0
+        for i in range(active.shape[1]):
+            if active[b, i]:
+                travel = max(travel, math.hypot(end[b, i, 0] - start[b, i, 0], end[b, i, 1] - start[b, i, 1]))
+        near = list_near(start[b], active[b], seen_within(body, scan, travel))
+        cast_moving(
+            start[b], end[b], active[b], near, body, walls, pillars, scan, offsets[b], 0, out.shape[2], 0.0,
+            share_step, out[b],
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def seen_within(body: Any, scan: Any, travel: float) -> float:
+    """Distance of two centres [m] beyond which robots cannot see each other before both have gone ``travel`` [m]."""
+    return float((scan[2] + body_reach(body) + 2 * travel) * (1 + 1e-9))

@@ -1,0 +1,78 @@
+"""Exploration noise: two standard normal numbers for every robot and every half second.
+
+They are a function of the world's seed, the robot and the time alone, so that nothing has to be remembered, and what
+one robot draws does not depend on how many others there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from triform.simulation.profiles import Drive
+from triform.types import NOISE_PERIOD, FloatArray
+
+#: Speed of a base from which exploration noise has its full size [m/s].
+_FULL_NOISE_SPEED = 0.5
+#: Moments closer than this are the same moment [s].
+_SAME_TIME = 1e-9
+
+
+@njit(cache=True, nogil=True)
+def _mixed(value):  # type: ignore[no-untyped-def]
+    """The output function of SplitMix64: a bijection of 64-bit numbers that looks random."""
+    value ^= value >> np.uint64(30)
+    value *= np.uint64(0xBF58476D1CE4E5B9)
+    value ^= value >> np.uint64(27)
+    value *= np.uint64(0x94D049BB133111EB)
+    return value ^ (value >> np.uint64(31))
+
+
+@njit(cache=True, nogil=True)
+def _fill(keys, slot, out):  # type: ignore[no-untyped-def]
+    golden = np.uint64(0x9E3779B97F4A7C15)
+    for b in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            state = _mixed(keys[b] + golden * np.uint64(i + 1))
+            state = _mixed(state + golden * np.uint64(slot + 1))
+            first = _mixed(state + golden)
+            second = _mixed(state + golden + golden)
+            # Box-Muller, on numbers in (0, 1] and [0, 1) with 53 random bits.
+            radius = np.sqrt(-2.0 * np.log(((first >> np.uint64(11)) + 1.0) / 2.0**53))
+            angle = 2.0 * np.pi * ((second >> np.uint64(11)) / 2.0**53)
+            out[b, i, 0] = radius * np.cos(angle)
+            out[b, i, 1] = radius * np.sin(angle)
+
+
+def noise_scale(drive: Drive) -> float:
+    """Share of its full size that exploration noise has for robots with this base.
+
+    That of a slow base is smaller in proportion, because what is cut to one speed, noise and command alike, would be
+    hardly anything but noise.
+    """
+    return min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_NOISE_SPEED)
+
+
+def noise_keys(seeds: Sequence[np.random.SeedSequence], worlds: int) -> NDArray[np.uint64]:
+    """One key for every world: of its seed, or its index where there are no seeds; shape (B,)."""
+    chosen = seeds if len(seeds) else [np.random.SeedSequence(world) for world in range(worlds)]
+    return np.array([seed.generate_state(1, np.uint64)[0] for seed in chosen], dtype=np.uint64)
+
+
+def exploration_noise(keys: NDArray[np.uint64], robots: int, time: float) -> FloatArray:
+    """Standard normal numbers of all robots at a time.
+
+    Args:
+        keys: Of every world, from ``noise_keys``, shape (B,).
+        robots: Robots of each world, N.
+        time: Time since the start [s].
+
+    Returns:
+        Shape (B, N, 2); they stay the same for ``NOISE_PERIOD``.
+    """
+    out = np.empty((len(keys), robots, 2))
+    _fill(keys, int((time + _SAME_TIME) / NOISE_PERIOD), out)
+    return out

@@ -1,0 +1,251 @@
+"""What simulated robots sense: LiDAR turns that take their time, odometry and exploration noise."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from triform.simulation.lidar import angle_offsets, apply_noise
+from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
+from triform.simulation.odometry import halfway, relative_poses, resting_poses
+from triform.simulation.profiles import Profile
+from triform.types import BoolArray, FloatArray, IntArray, PrivilegedView, RangeArray, Scan, TriformError, require
+
+Floating = TypeVar("Floating", bound=np.floating[Any])
+
+#: Moments closer than this are the same moment [s].
+_SAME_TIME = 1e-9
+
+
+class SensorSuite:
+    """SensorSuite of B worlds of N robots, whatever moves the robots and casts the rays.
+
+    A LiDAR turn lasts one period. With a rolling LiDAR ray k is measured at the share k / R of the turn; otherwise all
+    rays are measured at the end of the turn. A finished scan can be observed after the profile's latency; until the
+    first one can, nothing is seen (``+inf`` throughout). The moment that a rolling scan shows is the middle of its
+    turn. Odometry is exact.
+
+    Every robot draws its errors from a generator of its own, a function of its world's seed and its index alone.
+
+    Attributes:
+        ranges: What a rolling LiDAR has measured in the running turn [m], shape (B, N, R), written by whoever casts
+            the rays; R is 0 for a LiDAR that measures all rays at once.
+        offsets: Errors of the angles of these rays [rad], shape (B, N, R); R is 0 without such errors.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        poses: FloatArray,
+        active: BoolArray,
+        seeds: Sequence[int | np.random.SeedSequence] | None = None,
+    ) -> None:
+        """Begin the first turn at time 0.
+
+        Args:
+            profile: Kind of all robots.
+            poses: Poses in the world frame, shape (B, N, 3) [m, m, rad].
+            active: Which robots exist, shape (B, N).
+            seeds: One seed for every world; may be left out if the profile has no random errors.
+
+        Raises:
+            ConfigurationError: If seeds are missing.
+        """
+        lidar = profile.lidar
+        self._profile = profile
+        self._noisy = bool(lidar.noise) or lidar.angle_noise > 0 or lidar.dropout > 0
+        self._seeds = _sequences(seeds, len(poses), self._noisy)
+        self._rngs: dict[tuple[int, int], np.random.Generator] = {}
+        self._noise_keys = noise_keys(self._seeds, len(poses))
+        self._noise_scale = noise_scale(profile.drive)
+        self._turn = 0
+        self._next_ray = 0
+        # Until there is a scan, one number stands for all rays.
+        self._newest: RangeArray = np.broadcast_to(np.float32(np.inf), (*active.shape, lidar.scan.rays))
+        self._shown: FloatArray = poses.copy()
+        self._finished: deque[tuple[float, RangeArray, FloatArray]] = deque()
+        self.ranges: RangeArray
+        self.offsets: FloatArray
+        self._turn_start: FloatArray
+        self._begin_turn(poses, active)
+
+    def stretches(self, time: float, duration: float) -> Iterator[tuple[float, bool]]:
+        """Cut a while at the ends of LiDAR turns; whoever moves the robots ends a turn before asking for the next cut.
+
+        Args:
+            time: Present time [s].
+            duration: How long commands are held [s].
+
+        Yields:
+            The end of a stretch [s], and whether it ends the running turn.
+
+        Raises:
+            TriformError: The duration is not positive and finite.
+        """
+        if not 0 < duration < math.inf:
+            raise TriformError(f"commands cannot be held for {duration} s; the time must be positive and finite")
+        end = time + duration
+        while end - time > _SAME_TIME:
+            turn_end = (self._turn + 1) * self._profile.lidar.period
+            time = turn_end if turn_end < end - _SAME_TIME else end
+            yield time, turn_end <= time + _SAME_TIME
+
+    def rays_due(self, time: float, steps: int, step: float, turn_ends: bool) -> IntArray:
+        """Tell which rays of the running turn a rolling LiDAR measures while time advances in equal steps.
+
+        Args:
+            time: Present time [s].
+            steps: Number of steps, all of them within the turn.
+            step: Length of each [s].
+            turn_ends: Whether the last one ends the turn.
+
+        Returns:
+            Number of rays that have fallen due before each step and after the last, shape (steps + 1,); all 0 for a
+            LiDAR that measures all rays at once. They then count as measured.
+        """
+        lidar = self._profile.lidar
+        if not lidar.rolling:
+            return np.zeros(steps + 1, dtype=np.int64)
+        ends = self.elapsed(time) + step * np.arange(steps + 1)
+        due = np.ceil(ends * (lidar.scan.rays / lidar.period) - 1e-6).astype(np.int64)
+        bounds = np.clip(due, self._next_ray, lidar.scan.rays)
+        bounds[0] = self._next_ray
+        if turn_ends:
+            bounds[-1] = lidar.scan.rays
+        self._next_ray = int(bounds[-1])
+        return cast(IntArray, bounds)
+
+    def elapsed(self, time: float) -> float:
+        """How long the running turn has lasted [s]."""
+        return time - self._turn * self._profile.lidar.period
+
+    def draw_offsets(self, active: BoolArray) -> FloatArray | None:
+        """Errors of the angles of rays that are all measured at once [rad], shape (B, N, R); ``None`` without any."""
+        if self._profile.lidar.angle_noise > 0:
+            return self._draw_offsets((*active.shape, self._profile.lidar.scan.rays), active)
+        return None
+
+    def finish(self, ranges: RangeArray, poses: FloatArray, active: BoolArray) -> None:
+        """Finish a scan at the beginning of the running turn: of a LiDAR that measures all rays at once.
+
+        Args:
+            ranges: What was measured, without errors of range [m], shape (B, N, R); errors are put in.
+            poses: Poses at this moment, shape (B, N, 3).
+            active: Which robots exist, shape (B, N).
+        """
+        if self._noisy:
+            for b, i in np.argwhere(active):
+                ranges[b, i] = apply_noise(ranges[b, i], self._profile.lidar, self._rng(b, i))
+        shown = halfway(self._turn_start, poses, active) if self._profile.lidar.rolling else poses.copy()
+        self._finished.append((self._turn * self._profile.lidar.period, ranges, shown))
+
+    def end_turn(self, ranges: RangeArray | None, poses: FloatArray, active: BoolArray) -> None:
+        """Finish the scan of the running turn, and begin the next.
+
+        Args:
+            ranges: All rays at this moment, without errors of range; ``None`` for a rolling LiDAR.
+            poses: As for ``finish``.
+            active: As for ``finish``.
+        """
+        self._turn += 1
+        self.finish(self.ranges if ranges is None else ranges, poses, active)
+        self._next_ray = 0
+        self._begin_turn(poses, active)
+
+    def view(self, time: float, poses: FloatArray, velocities: FloatArray, active: BoolArray) -> PrivilegedView:
+        """Return the newest scans whose latency has passed, odometry, exploration noise, and everybody's true pose.
+
+        Args:
+            time: Present time [s].
+            poses: Poses in the world frame, shape (B, N, 3).
+            velocities: Body twists, shape (B, N, 3), which wheels know too.
+            active: Which robots exist, shape (B, N).
+        """
+        ready = time - self._profile.latency + _SAME_TIME
+        while self._finished and self._finished[0][0] <= ready:
+            _, self._newest, self._shown = self._finished.popleft()
+        odometry = None
+        if self._profile.odometry:
+            odometry = relative_poses(resting_poses(poses, velocities, self._profile.drive), self._shown, active)
+        return PrivilegedView(
+            scans=Scan(self._newest, self._profile.lidar.scan),
+            active=active.copy(),
+            time=time,
+            poses=poses.copy(),
+            noise=self._noise_scale * exploration_noise(self._noise_keys, active.shape[1], time),
+            odometry=odometry,
+        )
+
+    def add_robot(self, world: int, robot: int, pose: FloatArray) -> None:
+        """Let a robot begin at ``pose``, shape (3,); of a rolling turn the rays already past are ``NaN``."""
+        for shown in (self._shown, self._turn_start, *(poses for _, _, poses in self._finished)):
+            shown[world, robot] = pose
+        self.ranges[world, robot, : self._next_ray] = np.nan
+        self.ranges[world, robot, self._next_ray :] = np.inf
+        if self._profile.lidar.rolling and self._noisy:
+            self.offsets[world, robot] = angle_offsets(
+                self.offsets.shape[2:], self._profile.lidar, self._rng(world, robot)
+            )
+
+    def remove_robot(self, world: int, robot: int) -> None:
+        """Make the scans of a robot ``+inf``."""
+        self.ranges[world, robot] = np.inf
+        # Views handed out earlier share these arrays and must not change.
+        self._newest = self._newest.copy()
+        self._newest[world, robot] = np.inf
+        for _, ranges, _ in self._finished:
+            ranges[world, robot] = np.inf
+
+    def grow(self) -> None:
+        """Append one place to axis N of everything."""
+        self.ranges = padded(self.ranges, np.inf)
+        self.offsets = padded(self.offsets, 0.0)
+        self._newest = padded(self._newest, np.inf)
+        self._shown, self._turn_start = padded(self._shown, np.nan), padded(self._turn_start, np.nan)
+        self._finished = deque(
+            (when, padded(ranges, np.inf), padded(shown, np.nan)) for when, ranges, shown in self._finished
+        )
+
+    def _begin_turn(self, poses: FloatArray, active: BoolArray) -> None:
+        """Begin a turn in which nothing has been measured."""
+        lidar = self._profile.lidar
+        self._turn_start = poses.copy()
+        shape = (*active.shape, lidar.scan.rays if lidar.rolling else 0)
+        self.ranges = np.full(shape, np.inf, np.float32)
+        self.offsets = self._draw_offsets(shape, active) if lidar.angle_noise > 0 else np.empty((*shape[:2], 0))
+
+    def _draw_offsets(self, shape: tuple[int, ...], active: BoolArray) -> FloatArray:
+        offsets = np.zeros(shape)
+        if shape[2] > 0:
+            for b, i in np.argwhere(active):
+                offsets[b, i] = angle_offsets(shape[2:], self._profile.lidar, self._rng(b, i))
+        return offsets
+
+    def _rng(self, world: int, robot: int) -> np.random.Generator:
+        """Generator of one robot."""
+        if (world, robot) not in self._rngs:
+            seed = self._seeds[world]
+            sequence = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, robot))
+            self._rngs[world, robot] = np.random.default_rng(sequence)
+        return self._rngs[world, robot]
+
+
+def padded(values: NDArray[Floating], fill: float) -> NDArray[Floating]:
+    """Append one place to axis N of an array of shape (B, N, ...)."""
+    return np.pad(values, ((0, 0), (0, 1), (0, 0)), constant_values=fill)
+
+
+def _sequences(
+    seeds: Sequence[int | np.random.SeedSequence] | None, worlds: int, needed: bool
+) -> list[np.random.SeedSequence]:
+    """Return one seed sequence for every world."""
+    if seeds is None:
+        require(not needed, "the profile has random errors; one seed for every world is needed")
+        return []
+    require(len(seeds) == worlds, f"{len(seeds)} seeds given for {worlds} worlds; one for each is needed")
+    return [seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed) for seed in seeds]

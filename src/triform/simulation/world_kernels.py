@@ -1,0 +1,198 @@
+"""Compiled advance of batched worlds: drive, record contacts, measure the rays that fall due."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from triform.geometry.cells import pairs_within, smallest_distance_of, squared_distance
+from triform.simulation.contact_kernels import any_hits_arena, robots_overlap
+from triform.simulation.drive_kernels import drive_team
+from triform.simulation.moving_ray_kernels import cast_moving, list_near, seen_within
+from triform.simulation.ray_kernels import body_reach
+
+
+@njit(cache=True, nogil=True)
+def _record_pairs(poses: Any, pairs: Any, body: Any, min_distance: float, collided: bool) -> tuple[float, bool]:
+    """Fold pairs of robots into the smallest distance [m] and whether two footprints have overlapped."""
+    squared = math.inf
+    for pair in range(pairs.shape[0]):
+        squared = min(squared, squared_distance(poses, pairs[pair, 0], pairs[pair, 1]))
+    if not collided and squared < 4 * body_reach(body) ** 2:
+        for pair in range(pairs.shape[0]):
+            if robots_overlap(poses, pairs[pair, 0], pairs[pair, 1], body):
+                collided = True
+                break
+    return min(min_distance, math.sqrt(squared)), collided
+
+
+@njit(cache=True, nogil=True)
+def record_contacts(
+    poses: Any,
+    active: Any,
+    body: Any,
+    walls: Any,
+    pillars: Any,
+    min_distance: Any,
+    collided: Any,
+    hit_arena: Any,
+    first: int,
+    last: int,
+) -> None:
+    """Fold the present poses of the worlds ``first <= b < last`` into their records of distance and overlap."""
+    for b in range(first, last):
+        min_distance[b] = min(min_distance[b], smallest_distance_of(poses[b], active[b]))
+        if not collided[b]:
+            pairs = pairs_within(poses[b], active[b], 4 * body_reach(body) ** 2)
+            _, collided[b] = _record_pairs(poses[b], pairs, body, math.inf, False)
+        if not hit_arena[b]:
+            hit_arena[b] = any_hits_arena(poses[b], active[b], body, walls, pillars)
+
+
+@njit(cache=True, nogil=True)
+def _longest_travel(velocities: Any, targets: Any, active: Any, duration: float) -> float:
+    """Distance that no robot of one world can exceed in ``duration`` [s] while it steers to its target [m]."""
+    speed = 0.0
+    for i in range(active.shape[0]):
+        if active[i]:
+            speed = max(speed, math.hypot(velocities[i, 0], velocities[i, 1]), math.hypot(targets[i, 0], targets[i, 1]))
+    return speed * duration
+
+
+@njit(cache=True, nogil=True)
+def _close_pairs(poses: Any, active: Any, body: Any, min_distance: float, collided: bool, travel: float) -> Any:
+    """Pairs that can lower the smallest distance, or be the first to overlap, before each has gone ``travel`` [m]."""
+    reach = min_distance if collided else max(min_distance, 2 * body_reach(body))
+    # Without a pair so far there is no smallest distance and none will come.
+    reach = (reach + 2 * travel) * (1 + 1e-9) if reach < math.inf else 0.0
+    return pairs_within(poses, active, reach * reach)
+
+
+@njit(cache=True, nogil=True)
+def _advance_world(
+    poses: Any,
+    velocities: Any,
+    targets: Any,
+    active: Any,
+    limits: Any,
+    step: float,
+    body: Any,
+    walls: Any,
+    pillars: Any,
+    records: Any,
+    ray_bounds: Any,
+    elapsed: float,
+    ray_period: float,
+    scan: Any,
+    offsets: Any,
+    ranges: Any,
+) -> tuple[float, bool, bool]:
+    """Advance one world, see ``advance_worlds``; return its records: smallest distance, overlap, arena hit."""
+    min_distance, collided, hit_arena = records
+    steps = ray_bounds.shape[0] - 1
+    travel = _longest_travel(velocities, targets, active, steps * step)
+    pairs = _close_pairs(poses, active, body, min_distance, collided, travel)
+    casts = ray_bounds[steps] > ray_bounds[0]
+    near = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+    if casts:
+        near = list_near(poses, active, seen_within(body, scan, travel))
+    before = np.empty_like(poses)
+    for s in range(steps):
+        if casts:
+            before[:] = poses
+        drive_team(poses, velocities, targets, active, limits, step)
+        min_distance, collided = _record_pairs(poses, pairs, body, min_distance, collided)
+        if not hit_arena:
+            hit_arena = any_hits_arena(poses, active, body, walls, pillars)
+        if ray_bounds[s + 1] > ray_bounds[s]:
+            cast_moving(
+                before,
+                poses,
+                active,
+                near,
+                body,
+                walls,
+                pillars,
+                scan,
+                offsets,
+                ray_bounds[s],
+                ray_bounds[s + 1],
+                (ray_bounds[s] * ray_period - (elapsed + s * step)) / step,
+                ray_period / step,
+                ranges,
+            )
+    return min_distance, collided, hit_arena
+
+
+@njit(cache=True, nogil=True)
+def advance_worlds(
+    poses: Any,
+    velocities: Any,
+    targets: Any,
+    active: Any,
+    limits: Any,
+    step: float,
+    body: Any,
+    walls: Any,
+    pillars: Any,
+    min_distance: Any,
+    collided: Any,
+    hit_arena: Any,
+    ray_bounds: Any,
+    elapsed: float,
+    ray_period: float,
+    scan: Any,
+    offsets: Any,
+    ranges: Any,
+    first: int,
+    last: int,
+) -> None:
+    """Advance the worlds ``first <= b < last`` by equal steps while their bases steer to ``targets``.
+
+    Who may come close to whom, or see whom, is found once, with an allowance for the way all go meanwhile.
+
+    Args:
+        poses: World-frame poses, shape (B, N, 3), updated [m, m, rad].
+        velocities: Actual body twists, shape (B, N, 3), updated [m/s, m/s, rad/s].
+        targets: Limited commands, shape (B, N, 3) [m/s, m/s, rad/s].
+        active: Which robots exist, shape (B, N).
+        limits: See ``drive_team``.
+        step: Length of one step [s].
+        body: See ``cast_world``.
+        walls: See ``cast_world``.
+        pillars: See ``cast_world``.
+        min_distance: Smallest distance between two centres so far, shape (B,), updated [m].
+        collided: Whether two footprints have overlapped, shape (B,), updated.
+        hit_arena: Whether a footprint has overlapped a wall or pillar, shape (B,), updated.
+        ray_bounds: Step s measures the rays from ``ray_bounds[s]`` up to ``ray_bounds[s + 1]``, shape (S + 1,).
+        elapsed: Time since ray 0 of this turn, when the first step begins [s].
+        ray_period: Time between two rays [s].
+        scan: See ``cast_moving``.
+        offsets: Errors of the rays' angles, shape (B, N, R) [rad], or (B, N, 0) for none.
+        ranges: The turn being measured, shape (B, N, R), updated [m].
+        first: First world to advance.
+        last: One past the last world to advance.
+    """
+    for b in range(first, last):
+        closest, overlapped, hit = _advance_world(
+            poses[b],
+            velocities[b],
+            targets[b],
+            active[b],
+            limits,
+            step,
+            body,
+            walls,
+            pillars,
+            (min_distance[b], collided[b], hit_arena[b]),
+            ray_bounds,
+            elapsed,
+            ray_period,
+            scan,
+            offsets[b],
+            ranges[b],
+        )
+        min_distance[b], collided[b], hit_arena[b] = closest, overlapped, hit

@@ -1,0 +1,1 @@
+"""How fast one robot's step is."""

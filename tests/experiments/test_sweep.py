@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import json
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from triform.evaluation import Scenario, scenario
+from triform.evaluation.metrics import wilson_interval
+from triform.evaluation.runs import PicklableController
+from triform.experiments import sweep
+from triform.experiments.conditions import ConditionsConfig
+from triform.experiments.evaluate import EvaluateConfig, evaluate
+from triform.experiments.sweep import CellRuns, ConditionSweep, MeasureCells, run_cell, run_conditions
+from triform.types import TriformError
+
+QUICK = {
+    "controller": "expert-odd", "robots": (3, 4), "runs": 3, "seed": 3, "duration": 12.0, "incident_time": 6.0,
+    "which": ("latency", "incident"), "failures": 3,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A finished sweep, not to be written to."""
+    from io import StringIO
+
+    from rich.console import Console
+
+    output = tmp_path_factory.mktemp("sweep")
+    run_conditions(ConditionsConfig(output=output, threads=1, **QUICK), Console(file=StringIO(), width=80))
+    return output
+
+
+def rows(folder):
+    return pd.read_parquet(folder / "conditions.parquet")
+
+
+def summaries(folder):
+    return json.loads((folder / "conditions.json").read_text())["cells"]
+
+
+def test_all_files_are_written(folder):
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        "conditions.json", "conditions.parquet", "conditions.md", "conditions.html", "conditions.png", "failures.png",
+    }  # fmt: skip
+    page = (folder / "conditions.md").read_text()
+    for heading in ("## All conditions", "## Latency", "## Incident", "## Failed runs"):
+        assert heading in page
+    assert "## Speed" not in page
+    assert "This controller sees true poses" in page
+    assert "| latency [s] | robots |" in page
+    assert "triform conditions --controller expert-odd" in page
+    assert len([line for line in page.splitlines() if line.startswith("| 0.05 |")]) == 2
+
+
+def test_every_cell_is_summarised_from_its_rows(folder):
+    frame = rows(folder)
+    cells = summaries(folder)
+    assert len(cells) == 6 * 2 + 3 * 2 + 1
+    assert len(frame) == 3 * len(cells)
+    for cell in cells:
+        own = frame[(frame.condition == cell["condition"]) & (frame.label == cell["label"])]
+        own = own[own.team == cell["robots"]]
+        assert own.run.tolist() == [0, 1, 2]
+        assert cell["strict"] == own.strict.mean()
+        assert cell["strict_interval"] == pytest.approx(wilson_interval(int(own.strict.sum()), 3))
+        assert cell["success_interval"] == pytest.approx(wilson_interval(int(own.success.sum()), 3))
+        assert (cell["collisions"], cell["arena_hits"]) == (own.collision.sum(), own.hit_arena.sum())
+    latencies = [cell["settings"]["profile_description"]["latency"] for cell in cells if cell["condition"] == "latency"]
+    assert latencies == [0, 0, 0.05, 0.05, 0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.5, 0.5]
+
+
+def test_runs_are_those_of_an_evaluation(folder):
+    alone = evaluate(EvaluateConfig(controller="expert-odd", robots=(3,), runs=3, seed=3, duration=12.0, latency=0.1))
+    frame = rows(folder)
+    own = frame[(frame.condition == "latency") & (frame.label == "0.1") & (frame.team == 3)]
+    for name, column in alone.runs.items():
+        np.testing.assert_array_equal(own[name], column, err_msg=name)
+
+
+@pytest.mark.parametrize("changes", [{}, {"controller": "scan-pipeline", "range_noise": 0.01, "robots": (3,)}])
+def test_results_depend_neither_on_chunks_nor_on_threads(changes, monkeypatch, tmp_path, console):
+    small = {"which": ("incident",), "failures": 0} | changes
+    run_conditions(ConditionsConfig(output=tmp_path / "one", **(QUICK | small | {"threads": 1})), console)
+    monkeypatch.setattr(scenario, "ROBOTS_PER_CHUNK", 4)
+    run_conditions(ConditionsConfig(output=tmp_path / "two", **(QUICK | small | {"threads": 2})), console)
+    pd.testing.assert_frame_equal(rows(tmp_path / "one"), rows(tmp_path / "two"))
+
+
+def test_the_work_can_be_sent_to_another_machine():
+    found = ConditionSweep(ConditionsConfig(**(QUICK | {"which": ("distance", "incident")})))
+    portables = {
+        kind: PicklableController(Scenario(controller="expert-odd", distance=kind[0]), controller)
+        for kind, controller in found.controllers.items()
+    }
+    task = MeasureCells(found.config, portables)
+    far = pickle.loads(pickle.dumps(task))
+    for cell in (found.cells[0], found.cells[-1]):
+        here, there = (each(CellRuns(cell, 1, 1), lambda work: None) for each in (task, far))
+        for name, column in here.items():
+            np.testing.assert_array_equal(there[name], column, err_msg=name)
+
+
+def test_what_is_done_is_not_run_again(folder, tmp_path, console, monkeypatch):
+    for path in folder.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    monkeypatch.setattr(sweep, "MeasureCells", lambda *given: pytest.fail("nothing should be run"))
+    config = ConditionsConfig(output=tmp_path, **QUICK)
+    assert not ConditionSweep(config).waiting
+    monkeypatch.undo()
+    run_conditions(config, console)
+    pd.testing.assert_frame_equal(rows(tmp_path), rows(folder))
+    assert summaries(tmp_path) == summaries(folder)
+
+
+def test_other_conditions_are_added_and_other_settings_replace(folder, tmp_path):
+    (tmp_path / "conditions.parquet").write_bytes((folder / "conditions.parquet").read_bytes())
+    more = ConditionSweep(ConditionsConfig(output=tmp_path, **(QUICK | {"which": ("speed",)})))
+    assert {cell.condition for cell in more.done} == {"latency", "incident", "speed"}
+    # The speed of the profile has been run already, under another condition.
+    assert {cell.label for cell in more.done if cell.condition == "speed"} == {"0.5"}
+    assert {cell.label for cell in more.waiting.values()} == {"0.05", "0.1", "0.2", "1"}
+    other = ConditionSweep(ConditionsConfig(output=tmp_path, **(QUICK | {"seed": 4})))
+    assert not other.done
+    later = ConditionSweep(ConditionsConfig(output=tmp_path, **(QUICK | {"incident_time": 7.0})))
+    assert {cell.condition for cell in later.done} == {"latency"}
+
+
+def test_equal_cells_are_run_once():
+    which = ("range-noise", "dropped-rays", "scan-rate", "latency", "speed", "footprint", "arena", "distance")
+    waiting = ConditionSweep(ConditionsConfig(**(QUICK | {"which": which}))).waiting
+    assert len(waiting) == 2 * (1 + 5 + 4 + 4 + 5 + 4 + 6 + 2 + 4)
+    assert [cell.label for cell in waiting.values()][:3] == ["0", "0", "0.5"]
+
+
+def test_finished_cells_survive_an_interruption(tmp_path, console, monkeypatch):
+    def interrupted(config, runs, controller, on_step=None):
+        if runs.cell.label == "0.2":
+            raise KeyboardInterrupt
+        return run_cell(config, runs, controller, on_step)
+
+    monkeypatch.setattr(sweep, "run_cell", interrupted)
+    config = ConditionsConfig(output=tmp_path, threads=1, **(QUICK | {"which": ("latency",), "robots": (3,)}))
+    with pytest.raises(KeyboardInterrupt):
+        run_conditions(config, console)
+    assert [cell["label"] for cell in summaries(tmp_path)] == ["0", "0.05", "0.1"]
+    monkeypatch.undo()
+    assert [cell.label for cell in ConditionSweep(config).waiting.values()] == ["0.2", "0.3", "0.5"]
+
+
+def test_what_cannot_be_run_is_left_out_with_its_reason(tmp_path, console):
+    config = ConditionsConfig(
+        output=tmp_path, **(QUICK | {"which": ("arena", "scan-rate"), "robots": (25,), "runs": 1, "duration": 12.2})
+    )
+    run_conditions(config, console)
+    written = json.loads((tmp_path / "conditions.json").read_text())
+    assert list(written["skipped"]) == [
+        "scan rate 2 Hz, 25 robots", "arena room-6, 25 robots", "arena pillars, 25 robots",
+    ]  # fmt: skip
+    assert [(cell["condition"], cell["label"]) for cell in written["cells"]] == [
+        ("scan-rate", "5"), ("scan-rate", "10"), ("scan-rate", "20"), ("scan-rate", "50"), ("arena", "open"),
+    ]  # fmt: skip
+    assert "whole number of control periods" in written["skipped"]["scan rate 2 Hz, 25 robots"]
+    assert "left out: arena room-6, 25 robots: 1 of 1 starts" in console.file.getvalue()
+    assert "Left out: scan rate 2 Hz" in (tmp_path / "conditions.md").read_text()
+
+
+def test_nothing_to_run_and_foreign_files_are_refused(tmp_path):
+    with pytest.raises(TriformError, match="nothing to run: there is no controller 'magic'"):
+        ConditionSweep(ConditionsConfig(output=tmp_path, controller="magic"))
+    (tmp_path / "conditions.parquet").write_text("no table")
+    with pytest.raises(TriformError, match="cannot be read"):
+        ConditionSweep(ConditionsConfig(output=tmp_path, **QUICK))
+    pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "conditions.parquet")
+    with pytest.raises(TriformError, match="not written by triform conditions"):
+        ConditionSweep(ConditionsConfig(output=tmp_path, **QUICK))
+
+
+def test_failed_runs_are_drawn_as_they_were_measured(folder):
+    found = ConditionSweep(ConditionsConfig(output=folder, **QUICK))
+    failures = found.failed_runs()
+    assert len(failures) == 3
+    # Overrides take turns.
+    assert [failure.title.split()[0] for failure in failures[:2]] == ["latency", "incident"]
+    for failure in failures:
+        cell = next(cell for cell in found.cells if failure.title.startswith(cell.name))
+        run = int(failure.title.split()[-1])
+        _, table = run_cell(found.config, CellRuns(cell, run, 1), found.controllers[1.0, cell.scenario.robot])
+        measured = found.table(cell)
+        assert not measured["strict"][run]
+        for name, column in table.items():
+            np.testing.assert_array_equal(column, measured[name][run : run + 1], err_msg=name)
+        assert failure.trajectory.poses.shape[0] == 1

@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from triform.evaluation import Scenario, Trajectory, measure
+from triform.evaluation.scenario import world_seeds
+from triform.recordings.motive import axes_of_euler, axes_of_quaternion
+from triform.recordings.resample import read_recordings
+from triform.types import TriformError
+
+#: Turns Motive's axes into ours: our x is its z, our y its x, our z its y.
+MAP = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
+
+
+@functools.cache
+def driven():
+    scenario = Scenario(controller="expert-sensed", profile="hardware", duration=8.0, threads=1)
+    return scenario.run(scenario.draw_starts(4, 1, 3), world_seeds(4, 3, range(1)))[0]
+
+
+def in_motive(poses):
+    """Positions and rotations in Motive's frame of robots at ``poses`` (T, 3), which rock a little."""
+    rng = np.random.default_rng(0)
+    places = np.column_stack([poses[:, :2], np.full(len(poses), 0.15)]) @ MAP
+    # Rocking about the robot's own y axis keeps its front where the heading says.
+    ours = Rotation.from_euler("ZY", np.column_stack([poses[:, 2], rng.normal(0, 0.05, len(poses))]))
+    return places, Rotation.from_matrix(MAP.T @ ours.as_matrix() @ MAP)
+
+
+def write_take(path, trajectory, rotation="Quaternion", units="Meters", decimals=6, space="Global", version="1.23"):
+    """Write a run as Motive does: bodies, and beside them their markers."""
+    scale = {"Meters": 1, "Centimeters": 100, "Millimeters": 1000}.get(units, 1)
+    settings = (
+        f"Format Version,{version},Take Name,a take, of robots,Take Notes,,Capture Frame Rate,8.000000,Export Frame "
+        "Rate,8.000000,Capture Start Time,2023-06-02 12.09.45.344 PM,Capture Start Frame,0,Total Frames in Take,65,"
+        f"Total Exported Frames,65,Rotation Type,{rotation},Length Units,{units},Coordinate Space,{space}"
+    )
+    kinds, names, ids, parts, axes = (
+        ["", "Type"],
+        ["", "Name"],
+        ["", "ID"],
+        ["", ""],
+        ["Frame", "Time (Seconds)"],
+    )
+    columns = []
+    angle_axes = "XYZW" if rotation == "Quaternion" else rotation
+    for robot in range(trajectory.poses.shape[2]):
+        poses = trajectory.poses[0, :, robot]
+        seen = np.isfinite(poses[:, 0])
+        places, turns = in_motive(poses[seen])
+        turned = turns.as_quat() if rotation == "Quaternion" else turns.as_euler(rotation, degrees=True)
+        body = np.full((len(poses), 8), np.nan)[:, : len(angle_axes) + 4]
+        body[seen] = np.column_stack([turned, scale * places, np.full(seen.sum(), 0.0003)])
+        marker = np.full((len(poses), 4), np.nan)
+        marker[seen] = np.column_stack([scale * places + 0.05, np.ones(seen.sum())])
+        columns += [body, marker]
+        for kind, name, part, axis in (
+            ("Rigid Body", f"ep {robot}", "Rotation", angle_axes),
+            ("Rigid Body", f"ep {robot}", "Position", "XYZ"),
+            ("Rigid Body", f"ep {robot}", "Mean Marker Error", [""]),
+            ("Rigid Body Marker", f"ep {robot}:Marker1", "Position", "XYZ"),
+            ("Rigid Body Marker", f"ep {robot}:Marker1", "Marker Quality", [""]),
+        ):
+            for each in axis:
+                kinds.append(kind)
+                names.append(name)
+                ids.append("6F3A4C")
+                parts.append(part)
+                axes.append(each)
+    values = np.concatenate(columns, axis=1)
+    lines = [settings, "", *(",".join(row) for row in (kinds, names, ids, parts, axes))]
+    for frame, (time, row) in enumerate(zip(trajectory.time, values, strict=True)):
+        cells = ["" if np.isnan(value) else f"{value:.{decimals}f}" for value in row]
+        lines.append(",".join([str(frame), f"{time:.6f}", *cells]))
+    path.write_bytes(("\r\n".join(lines) + "\r\n").encode())
+    return path
+
+
+@pytest.mark.parametrize("rotation", ["Quaternion", *EULER_ORDERS])
+@pytest.mark.parametrize("units", ["Meters", "Millimeters"])
+def test_a_take_measures_as_the_run_that_it_shows(tmp_path, rotation, units):
+    trajectory = driven()
+    (recording,) = read_recordings(write_take(tmp_path / "take.csv", trajectory, rotation, units, decimals=12))
+    assert recording.robots == ("ep 0", "ep 1", "ep 2", "ep 3")
+    np.testing.assert_allclose(recording.trajectory.poses[..., :2], trajectory.poses[..., :2], atol=1e-9)
+    away = recording.trajectory.poses[..., 2] - trajectory.poses[..., 2]
+    np.testing.assert_allclose(np.cos(away), 1, atol=1e-9)
+    expected, found = measure(trajectory), measure(recording.trajectory)
+    for name, column in expected.items():
+        np.testing.assert_allclose(found[name], column, rtol=0, atol=1e-9, err_msg=name)
+
+
+def test_the_newest_version_has_a_line_of_parents(tmp_path):
+    path = write_take(tmp_path / "take.csv", driven(), version="1.25")
+    lines = path.read_bytes().split(b"\r\n")
+    assert lines[4].startswith(b",ID,")
+    lines.insert(5, b",Parent" + b"," * (lines[4].count(b",") - 1))
+    path.write_bytes(b"\r\n".join(lines))
+    (recording,) = read_recordings(path)
+    np.testing.assert_allclose(recording.trajectory.poses[..., :2], driven().poses[..., :2], atol=1e-6)
+
+
+def test_six_decimals_are_as_good_as_six_decimals(tmp_path):
+    trajectory = driven()
+    (recording,) = read_recordings(write_take(tmp_path / "take.csv", trajectory))
+    np.testing.assert_allclose(recording.trajectory.poses[..., :2], trajectory.poses[..., :2], atol=1e-6)
+    expected, found = measure(trajectory), measure(recording.trajectory)
+    for name in ("formation_error", "min_distance", "converge_time", "strict", "edges"):
+        np.testing.assert_allclose(found[name], expected[name], atol=2e-6, err_msg=name)
+
+
+def test_blank_cells_are_gaps_and_bodies_come_and_go(tmp_path):
+    whole = driven()
+    poses = whole.poses.copy()
+    poses[0, 30:33, 1] = np.nan
+    poses[0, 50:, 3] = np.nan
+    gappy = Trajectory(whole.time, poses, np.isfinite(poses[..., 0]), whole.commands)
+    (recording,) = read_recordings(write_take(tmp_path / "take.csv", gappy))
+    assert recording.trajectory.active[0, :, 1].all()
+    assert recording.trajectory.active[0, :, 3].sum() == 50
+    line = np.linspace(poses[0, 29, 1, :2], poses[0, 33, 1, :2], 5)
+    np.testing.assert_allclose(recording.trajectory.poses[0, 29:34, 1, :2], line, atol=1e-6)
+    assert [sentence.split(": ")[-1] for sentence in recording.changes] == ["robot ep 3 goes at 6.12 s"]
+
+
+def test_seen_from_above_counter_clockwise_turns_and_triangles_stay_so():
+    # A quarter turn about Motive's y axis, which points up: from its z axis, our x, to its x axis, our y.
+    front, up = axes_of_quaternion(np.array([[0, np.sin(np.pi / 4), 0, np.cos(np.pi / 4)]]).T)
+    np.testing.assert_allclose(front[:, 0], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(up[:, 0], [0, 1, 0], atol=1e-12)
+    assert np.linalg.det(MAP) == pytest.approx(1)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.tuples(*[st.floats(-180, 180)] * 3), st.sampled_from(EULER_ORDERS))
+def test_axes_are_those_of_scipy(angles, order):
+    degrees = dict(zip("XYZ", angles, strict=True))
+    turn = Rotation.from_euler(order, [degrees[axis] for axis in order], degrees=True)
+    for front, up in (
+        axes_of_euler(np.array([angles]).T, order),
+        axes_of_quaternion(3 * turn.as_quat()[:, None]),
+    ):
+        np.testing.assert_allclose(front[:, 0], turn.apply([0, 0, 1]), atol=1e-12)
+        np.testing.assert_allclose(up[:, 0], turn.apply([0, 1, 0]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"version": "1.1"}, "format version '1.1'; 1.2 to 1.25 can be read"),
+        ({"version": "1.26"}, "format version '1.26'; 1.2 to 1.25 can be read"),
+        ({"units": "Inches"}, "length units 'Inches'; allowed are Meters, Centimeters, Millimeters"),
+        ({"space": "Local"}, "coordinate space 'Local'; Global is needed"),
+    ],
+)
+def test_exports_of_other_kinds_are_refused(tmp_path, options, says):
+    path = write_take(tmp_path / "take.csv", driven(), **options)
+    with pytest.raises(TriformError, match=says):
+        read_recordings(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("Rotation Type,Quaternion", "Rotation Type,Matrix", "rotation type 'Matrix'"),
+        ("Rigid Body", "Skeleton", "no rigid bodies"),
+        ("Frame,", "Picture,", "no lines Type, Name and Frame"),
+        (",X,Y,Z,W,", ",X,Y,Z,V,", "the rigid body 'ep 0' has no column Rotation W"),
+        ("\r\n7,", "\r\n7,late", "line 15, column time: 'late0.875000' is not a number"),
+    ],
+)
+def test_damaged_exports_are_refused(tmp_path, old, new, says):
+    path = write_take(tmp_path / "take.csv", driven())
+    text = path.read_bytes().decode()
+    assert old in text
+    path.write_bytes(text.replace(old, new).encode())
+    with pytest.raises(TriformError, match=says):
+        read_recordings(path)
+
+
+def test_another_axis_up_is_noticed(tmp_path):
+    path = write_take(tmp_path / "take.csv", driven())
+    text = path.read_text().replace(",X,Y,Z,W,", ",X,Z,Y,W,")
+    path.write_text(text)
+    with pytest.raises(TriformError, match=r"is tilted by .* degrees at .* s; robots on the ground"):
+        read_recordings(path)
