@@ -1,13 +1,15 @@
-"""The command line: parses, calls, prints."""
+"""The command line: a table of commands; each is loaded when it is called."""
 
 from __future__ import annotations
 
+import difflib
+import importlib
 import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import field, fields, make_dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import tyro
 from rich.console import Console
@@ -15,136 +17,81 @@ from rich.console import Console
 from triform import __version__
 from triform.types import TriformError
 
-#: Extras of the package, by the modules that they install.
+#: Extra and package of the modules that extras install.
 _EXTRAS = {
-    "pyarrow": "evaluate",
-    "matplotlib": "evaluate",
-    "PIL": "evaluate",
-    "torch": "train",
-    "safetensors": "train",
-    "tensorboard": "train",
-    "onnx": "train",
-    "ray": "ray",
-    "serial": "robot",
+    "pyarrow": ("evaluate", "pyarrow"),
+    "matplotlib": ("evaluate", "matplotlib"),
+    "PIL": ("evaluate", "pillow"),
+    "torch": ("train", "torch"),
+    "safetensors": ("train", "safetensors"),
+    "tensorboard": ("train", "tensorboard"),
+    "onnx": ("train", "onnx"),
+    "ray": ("ray", "ray"),
+    "serial": ("robot", "pyserial"),
 }
 
 
-def _collect() -> tuple[Any, Callable[..., Any]]:
-    from triform.commands import Collect
+@dataclass(frozen=True)
+class Command:
+    """A command of the command line.
 
-    return Collect, Collect.run
+    Attributes:
+        group: What people do with it.
+        summary: What it does.
+        options: Module and class of its options; the class has ``run(console)``.
+        example: A command line.
+    """
 
+    group: str
+    summary: str
+    options: str
+    example: str
 
-def _train() -> tuple[Any, Callable[..., Any]]:
-    from triform.commands import Train
-
-    return Train, Train.run
-
-
-def _export() -> tuple[Any, Callable[..., Any]]:
-    from triform.commands import Export
-
-    return Export, Export.run
-
-
-def _evaluate() -> tuple[Any, Callable[..., Any]]:
-    from triform.recordings.measure import RecordedConfig, run_evaluate
-
-    return RecordedConfig, run_evaluate
+    def load(self) -> Any:
+        """Import the class of the options."""
+        module, _, name = self.options.partition(":")
+        return getattr(importlib.import_module(module), name)
 
 
-def _dynamic() -> tuple[Any, Callable[..., Any]]:
-    from triform.experiments.dynamic import DynamicConfig, run_dynamic
-
-    return DynamicConfig, run_dynamic
+def _command(group: str, name: str, summary: str, example: str) -> tuple[str, Command]:
+    return name, Command(group, summary, f"triform.commands.{name}:{name.capitalize()}", f"triform {name} {example}")
 
 
-def _conditions() -> tuple[Any, Callable[..., Any]]:
-    from triform.experiments.conditions import ConditionsConfig
-    from triform.experiments.sweep import run_conditions
-
-    return ConditionsConfig, run_conditions
-
-
-def _ablate() -> tuple[Any, Callable[..., Any]]:
-    from triform.experiments.ablation import CHOSEN, AblateConfig, run_ablate
-
-    return _without(AblateConfig, CHOSEN), run_ablate
-
-
-def _compare() -> tuple[Any, Callable[..., Any]]:
-    from triform.experiments.compare import CHOSEN, CompareConfig, run_compare
-
-    return _without(CompareConfig, CHOSEN), run_compare
-
-
-def _without(options: type[Any], names: Sequence[str]) -> Any:
-    """Return options that are not shown the names that the command chooses itself."""
-    hidden = [
-        (each.name, Annotated[Any, tyro.conf.Suppress], field(default=each.default))
-        for each in fields(options)
-        if each.name in names
+COMMANDS: dict[str, Command] = dict(
+    [
+        _command("look", "demo", "run one team and draw it", "--robots 9"),
+        _command(
+            "measure", "evaluate", "measure a controller on many starts", "--robots 5 9 --runs 100 --json out.json"
+        ),
+        _command("measure", "compare", "measure controllers side by side", "--controllers policy mine.py:Springs"),
+        _command("measure", "conditions", "measure a controller under many conditions", "--which latency arena"),
+        _command("measure", "ablate", "measure the triangulating law without each of its terms", "--robots 5 9"),
+        _command("measure", "reproduce", "write the paper's tables and figures", "table1 --runs 100"),
+        _command("measure", "measure", "measure recorded runs", "take.csv --figures figures"),
+        _command("learn", "collect", "collect demonstrations", "--preset quick --out data"),
+        _command("learn", "train", "train a policy", "--preset default --out runs/mine"),
+        _command("learn", "export", "make a trained policy run without PyTorch", "runs/mine/best"),
+        _command("drive", "drive", "drive one robot, LiDAR to wheels", "--lidar /dev/ttyUSB0"),
+        _command("drive", "emulate", "emulate robots, byte for byte, to drive without any", "--robots 4"),
+        _command("drive", "bench", "time one robot's way from scan to command on this computer", "--rate 8"),
     ]
-    chosen = make_dataclass(options.__name__, hidden, bases=(options,), frozen=True)
-    chosen.__doc__ = options.__doc__
-    return chosen
-
-
-def _reproduce() -> tuple[Any, Callable[..., Any]]:
-    from triform.experiments.reproduce import ReproduceConfig, What, reproduce
-
-    what = ("what", Annotated[What, tyro.conf.Positional], field(default="all"))
-    options = make_dataclass("Reproduce", [what], bases=(ReproduceConfig,), frozen=True)
-    options.__doc__ = ReproduceConfig.__doc__
-    return options, reproduce
-
-
-def _demo() -> tuple[Any, Callable[..., Any]]:
-    from triform.experiments.demo import DemoConfig, run_demo
-
-    return DemoConfig, run_demo
-
-
-def _drive() -> tuple[Any, Callable[..., Any]]:
-    from triform.robots.drive import DriveConfig, run_drive
-
-    return DriveConfig, run_drive
-
-
-def _bench() -> tuple[Any, Callable[..., Any]]:
-    from triform.timing.robot import BenchConfig, run_bench
-
-    return BenchConfig, run_bench
-
-
-def _emulate() -> tuple[Any, Callable[..., Any]]:
-    from triform.robots.emulate import EmulateConfig, run_emulate
-
-    return EmulateConfig, run_emulate
-
-
-#: What each command does, and how to load its options and its function.
-COMMANDS: dict[str, tuple[str, Callable[[], tuple[Any, Callable[..., Any]]]]] = {
-    "demo": ("run one team and draw it", _demo),
-    "evaluate": ("measure a controller on many starts, or recorded runs", _evaluate),
-    "dynamic": ("measure teams that a robot joins or leaves", _dynamic),
-    "conditions": ("measure a controller under many conditions", _conditions),
-    "ablate": ("measure the triangulating law without each of its terms", _ablate),
-    "compare": ("measure controllers side by side", _compare),
-    "reproduce": ("write the paper's tables and figures", _reproduce),
-    "drive": ("drive one robot, LiDAR to wheels", _drive),
-    "emulate": ("emulate robots, byte for byte, to drive without any", _emulate),
-    "bench": ("time one robot's way from scan to command on this computer", _bench),
-    "collect": ("collect demonstrations", _collect),
-    "train": ("train a policy", _train),
-    "export": ("make a trained policy run without PyTorch", _export),
-}
+)
 
 
 def _overview() -> str:
-    lines = [f"triform {__version__}", "", "usage: triform COMMAND [options]", ""]
-    lines += [f"  {name:<10} {summary}" for name, (summary, _) in COMMANDS.items()]
+    lines = [f"triform {__version__}", "", "usage: triform COMMAND [options]"]
+    for group in dict.fromkeys(command.group for command in COMMANDS.values()):
+        lines += ["", f"{group}:"]
+        for name, command in COMMANDS.items():
+            if command.group == group:
+                lines += [f"  {name:<11}{command.summary}", f"             {command.example}"]
     return "\n".join([*lines, "", "triform COMMAND --help shows a command's options."])
+
+
+def _unknown(name: str) -> str:
+    """Say that there is no such command, and which is meant."""
+    near = difflib.get_close_matches(name, COMMANDS, n=1)
+    return f"there is no command {name!r}" + (f"; did you mean {near[0]!r}?" if near else "")
 
 
 def _kernels_missing() -> bool:
@@ -162,23 +109,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write((__version__ if given == ["--version"] else _overview()) + "\n")
         return 0
     if not given or given[0] not in COMMANDS:
-        problem = f"there is no command {given[0]!r}" if given else "a command is missing"
+        problem = _unknown(given[0]) if given else "a command is missing"
         sys.stderr.write(f"triform: {problem}\n\n{_overview()}\n")
         return 2
     try:
-        options, run = COMMANDS[given[0]][1]()
-        chosen = tyro.cli(options, prog=f"triform {given[0]}", args=given[1:])
+        command = COMMANDS[given[0]]
+        options = command.load()
+        from triform.commands.options import CONFIG, registry
+
+        description = f"{command.summary[0].upper()}{command.summary[1:]}. Example: {command.example}"
+        chosen = tyro.cli(
+            options,
+            prog=f"triform {given[0]}",
+            args=given[1:],
+            description=description,
+            config=CONFIG,
+            registry=registry,
+        )
         if _kernels_missing():
             sys.stderr.write("compiling kernels, once after an installation: about a minute\n")
-        run(chosen, Console())
+        chosen.run(Console())
     except TriformError as error:
         errors.print(f"triform: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
         return 1
     except ModuleNotFoundError as error:
-        extra = _EXTRAS.get((error.name or "").split(".")[0])
-        if extra is None:
+        extra, package = _EXTRAS.get((error.name or "").split(".")[0], ("", ""))
+        if not extra:
             raise
-        sys.stderr.write(f"triform: {given[0]} needs {error.name}; install it with: pip install 'triform[{extra}]'\n")
+        sys.stderr.write(
+            f"triform: {given[0]} needs {package}, which the extra {extra!r} installs: pip install 'triform[{extra}]', "
+            f"or in a checkout pip install '.[{extra}]'\n"
+        )
         return 1
     except KeyboardInterrupt:
         sys.stderr.write("triform: interrupted; files written so far are kept; train goes on with --resume\n")

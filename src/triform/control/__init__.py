@@ -4,7 +4,14 @@ from triform.control.expert import EXPERTS, Expert, ExpertVariant, expert_into, 
 from triform.control.gnn import GnnController
 from triform.control.learned import LearnedPolicy
 from triform.control.loop import control_steps, drive
-from triform.control.registry import CONTROLLERS, make_controller, shipped_weights, weights_folder
+from triform.control.registry import (
+    CONTROLLERS,
+    POLICY,
+    ControllerSpec,
+    make_controller,
+    shipped_weights,
+    weights_folder,
+)
 from triform.control.safety import SafetyFilter, SafetySettings, reaction_time
 from triform.control.scan_pipeline import ScanPipeline
 from triform.control.teacher import Teacher
@@ -13,6 +20,8 @@ from triform.control.triangulating import Triangulating, TriangulatingLaw
 __all__ = [
     "CONTROLLERS",
     "EXPERTS",
+    "POLICY",
+    "ControllerSpec",
     "Expert",
     "ExpertVariant",
     "GnnController",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,39 @@ CONTROLLERS = ("policy", *EXPERTS, "triangulating", "scan-pipeline", "scan-trian
 DEFAULT_WEIGHTS = "default"
 #: Controllers with weights, and those that each takes if none are named.
 WITH_WEIGHTS = {"policy": DEFAULT_WEIGHTS, "gnn": "gnn"}
+
+
+@dataclass(frozen=True)
+class ControllerSpec:
+    """A controller by name.
+
+    Attributes:
+        name: One of ``CONTROLLERS``.
+        weights: Weights of ``policy`` or ``gnn``: a shipped policy's name or a folder; the default one if ``None``.
+    """
+
+    name: str = "policy"
+    weights: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> ControllerSpec:
+        """Read ``NAME`` or ``NAME:WEIGHTS``."""
+        name, _, weights = text.partition(":")
+        return cls(name, weights or None)
+
+    @property
+    def label(self) -> str:
+        """The controller as ``parse`` reads it."""
+        return self.name if self.weights is None else f"{self.name}:{self.weights}"
+
+    @property
+    def resolved(self) -> ControllerSpec:
+        """The controller with its default weights, if it has weights and none are named."""
+        return self if self.weights else ControllerSpec(self.name, WITH_WEIGHTS.get(self.name))
+
+
+#: The shipped policy.
+POLICY = ControllerSpec()
 
 
 def shipped_weights() -> dict[str, Path]:
@@ -42,25 +76,25 @@ def weights_folder(weights: str | None, controller: str = "policy") -> Path:
 
 
 def make_controller(
-    name: str,
+    controller: str | ControllerSpec,
     distance: float = 1.0,
-    weights: str | None = None,
     threads: int = 1,
     footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE,
 ) -> Controller[Any]:
     """Make a controller.
 
     Args:
-        name: One of ``CONTROLLERS``.
+        controller: The controller, such as ``policy``, ``policy:paper`` or ``triangulating``.
         distance: Prescribed neighbour distance d* [m].
-        weights: For ``policy`` and ``gnn``: a shipped policy's name or a folder; the default one if ``None``.
-        threads: For these: threads of one call of the network, see ``PolicyRuntime``.
+        threads: For policies: threads of one call of the network, see ``PolicyRuntime``.
         footprint: For those that are told it, the outline of the robots: length and width of a box, or the diameter of
             a circle [m].
 
     Raises:
         ConfigurationError: If there is no such controller, or it cannot be made with these settings.
     """
+    spec = ControllerSpec.parse(controller) if isinstance(controller, str) else controller
+    name, weights = spec.name, spec.weights
     if name not in CONTROLLERS:
         raise ConfigurationError(f"there is no controller {name!r}; there are {', '.join(CONTROLLERS)}")
     if weights is not None and name not in WITH_WEIGHTS:

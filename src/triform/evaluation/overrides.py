@@ -1,4 +1,4 @@
-"""How the robots of a run differ from their profile: the conditions that a scenario may change."""
+"""Overrides: what a scenario replaces of its robot profile."""
 
 from __future__ import annotations
 
@@ -6,39 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from triform.simulation import ROBOMASTER_EP, Footprint, LidarConfig, Profile, constant_noise
-from triform.types import SENSING_RANGE, TriformError, require
-
-#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, centred on the
-#: LiDAR as all footprints are; circles are named after their radius in centimetres, the box after its side.
-FOOTPRINTS = {
-    "ep": ROBOMASTER_EP,
-    "engineer": Footprint.box(0.410, 0.240),
-    "circle-5": Footprint.circle(0.10),
-    "circle-10": Footprint.circle(0.20),
-    "circle-15": Footprint.circle(0.30),
-    "circle-20": Footprint.circle(0.40),
-    "box-30": Footprint.box(0.30, 0.30),
-}
+from triform.simulation import Footprint, LidarConfig, Profile, constant_noise
+from triform.types import SENSING_RANGE, require
 
 #: How far a LiDAR reaches at most [m]; a robot uses 2 d* of it.
 LIDAR_REACH = 8.0
 
 
-def get_footprint(name: str) -> Footprint:
-    """Return the footprint called ``name``.
-
-    Raises:
-        TriformError: If there is no such footprint.
-    """
-    if name not in FOOTPRINTS:
-        raise TriformError(f"there is no footprint {name!r}; known footprints are {', '.join(FOOTPRINTS)}")
-    return FOOTPRINTS[name]
-
-
 @dataclass(frozen=True)
 class Overrides:
-    """What replaces the profile's own values; ``None`` keeps them.
+    """What replaces values of the robot profile; what is omitted keeps the profile's.
 
     Attributes:
         range_noise: Standard deviation of measured ranges, the same at every distance [m].
@@ -49,7 +26,8 @@ class Overrides:
         speed_limit: Largest translational speed of the base [m/s]; limits of single axes stay.
         acceleration: Largest translational acceleration of the base [m/s^2].
         lag: Time constant of the base's first-order lag [s].
-        footprint: Name of the robots' outline, one of ``FOOTPRINTS``.
+        footprint: Outline of the robots: a name such as ep, circle:0.30 (diameter) or box:0.41x0.24 [m].
+        odometry: Whether robots know from their wheels how far they have come since their scans.
     """
 
     range_noise: float | None = None
@@ -60,6 +38,7 @@ class Overrides:
     acceleration: float | None = None
     lag: float | None = None
     footprint: str | None = None
+    odometry: bool = True
 
     def __post_init__(self) -> None:
         noise, dropout, rate = self.range_noise, self.dropout, self.scan_rate
@@ -74,10 +53,10 @@ class Overrides:
         require(lag is None or 0 <= lag < np.inf, f"lag is {lag} s; it must be finite and not negative")
 
     def applied_to(self, profile: Profile, distance: float) -> Profile:
-        """Return ``profile`` under these conditions, seeing as far as the prescribed ``distance`` d* needs: 2 d* [m].
+        """Return ``profile`` with these overrides, seeing as far as the prescribed ``distance`` d* needs: 2 d* [m].
 
         Raises:
-            TriformError: There is no such footprint.
+            ConfigurationError: There is no such footprint.
         """
         drive, footprint, latency = profile.drive, profile.footprint, profile.latency
         if self.speed_limit is not None:
@@ -87,14 +66,20 @@ class Overrides:
         if self.lag is not None:
             drive = replace(drive, lag=self.lag)
         if self.footprint is not None:
-            footprint = get_footprint(self.footprint)
+            footprint = Footprint.parse(self.footprint)
         if self.latency is not None:
             latency = self.latency
         lidar = self._lidar(profile.lidar, distance)
         in_step = profile.control_period == profile.lidar.period
         control_period = lidar.period if in_step else profile.control_period
         return replace(
-            profile, footprint=footprint, lidar=lidar, drive=drive, control_period=control_period, latency=latency
+            profile,
+            footprint=footprint,
+            lidar=lidar,
+            drive=drive,
+            control_period=control_period,
+            latency=latency,
+            odometry=profile.odometry and self.odometry,
         )
 
     def _lidar(self, lidar: LidarConfig, distance: float) -> LidarConfig:

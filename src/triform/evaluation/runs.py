@@ -1,108 +1,59 @@
-"""Many runs through an engine: cut into chunks, driven side by side, put together again."""
+"""Many runs: the seeds of their worlds, and the chunks in which an engine does them."""
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, TypeVar
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeVar
 
-from triform.control.registry import WITH_WEIGHTS, weights_folder
-from triform.engines import Engine, Report, Task
-from triform.evaluation.metrics import RunTable, concatenate
-from triform.evaluation.scenario import Scenario, chunks, world_seeds
-from triform.policy.checkpoint import ONNX_FILE, SPEC_FILE, WEIGHTS_FILE
-from triform.types import Controller, FloatArray, IntArray, PrivilegedView
+from triform.engines import Engine, EngineName, Report, Task, check_engine, open_engine
+from triform.simulation import world_seeds
+from triform.types import require
+
+__all__ = ["Execution", "by_group", "chunks", "world_seeds"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-
-class PicklableController:
-    """A controller that can be sent to another machine, where it is made anew.
-
-    It travels as its name and, for a policy, the contents of its files; no path is used there.
-    """
-
-    def __init__(self, scenario: Scenario, controller: Controller[PrivilegedView] | None = None) -> None:
-        """Take the controller of ``scenario``, which is made if it is not given."""
-        self._scenario = scenario
-        self.controller = controller or scenario.make_controller()
-
-    def __reduce__(self) -> tuple[Callable[..., PicklableController], tuple[Any, ...]]:
-        if self._scenario.controller not in WITH_WEIGHTS:
-            return PicklableController, (self._scenario,)
-        folder = weights_folder(self._scenario.weights, self._scenario.controller)
-        files = {name: (folder / name).read_bytes() for name in (SPEC_FILE, WEIGHTS_FILE, ONNX_FILE)}
-        return _unpacked, (self._scenario, files)
-
-
-def _unpacked(scenario: Scenario, files: dict[str, bytes]) -> PicklableController:
-    with tempfile.TemporaryDirectory(prefix="triform-policy-") as folder:
-        for name, data in files.items():
-            (Path(folder) / name).write_bytes(data)
-        return PicklableController(replace(scenario, weights=folder))
+#: Robots of one chunk of runs: enough that the fixed cost of a step is small, few enough that the last chunks of an
+#: evaluation keep every processor busy. The same on every machine, so that no result can depend on it.
+ROBOTS_PER_CHUNK = 256
 
 
 @dataclass(frozen=True)
-class Chunk:
-    """Some runs of one team size.
+class Execution:
+    """Where runs are computed; results are the same to the bit everywhere.
 
     Attributes:
-        indices: Index of every run, on which its noise depends, shape (B,).
-        poses: Starts, shape (B, N, 3).
+        threads: Threads of the whole command; one for each processor if omitted.
+        engine: Engine of the runs: local is this process, ray is Ray, on this machine or a cluster.
+        ray_address: Ray cluster to use, host:port or auto; Ray is started on this machine if omitted.
     """
 
-    indices: IntArray
-    poses: FloatArray
+    threads: int | None = None
+    engine: EngineName = "local"
+    ray_address: str | None = None
+
+    def __post_init__(self) -> None:
+        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        check_engine(self.engine, self.ray_address)
+
+    def open_engine(self) -> AbstractContextManager[Engine]:
+        """Return the engine, for a ``with`` block.
+
+        Raises:
+            TriformError: Ray cannot be reached or started.
+        """
+        return open_engine(self.engine, self.threads, self.ray_address)
 
 
-@dataclass(frozen=True)
-class MeasureRuns:
-    """The task of an evaluation: drive the runs of a chunk and measure them; the trajectories are dropped.
-
-    Attributes:
-        scenario: What to run.
-        seed: Seed of the worlds' noise.
-        portable: The controller.
-    """
-
-    scenario: Scenario
-    seed: int
-    portable: PicklableController
-
-    def __call__(self, chunk: Chunk, report: Report) -> RunTable:
-        """One row per run; reports robots times control periods."""
-        robots = chunk.poses.shape[1]
-        seeds = world_seeds(robots, self.seed, chunk.indices)
-        _, table = self.scenario.run(chunk.poses, seeds, self.portable.controller, report)
-        return {"run": chunk.indices} | table
-
-
-def measure_groups(
-    task: Task[Chunk, RunTable],
-    groups: Sequence[Chunk],
-    engine: Engine,
-    on_progress: Report | None = None,
-) -> Iterator[tuple[int, RunTable]]:
-    """Drive and measure groups of runs, each of one team size.
-
-    Args:
-        task: What is done with a chunk.
-        groups: The runs.
-        engine: Where it is done.
-        on_progress: Called with robots times control periods that were just done.
-
-    Yields:
-        The number of every group and its table, one row per run in order, as soon as it is complete.
-    """
-    parts = [
-        [Chunk(group.indices[part], group.poses[part]) for part in chunks(*group.poses.shape[:2])] for group in groups
-    ]
-    for number, tables in by_group(task, parts, engine, on_progress):
-        yield number, concatenate(tables)
+def chunks(runs: int, robots: int) -> list[slice]:
+    """Cut runs of ``robots`` robots each into chunks of nearly one size; a function of the two numbers alone."""
+    count = max(1, min(runs, round(runs * robots / ROBOTS_PER_CHUNK)))
+    bounds = [runs * chunk // count for chunk in range(count + 1)]
+    return [slice(first, last) for first, last in pairwise(bounds)]
 
 
 def by_group(

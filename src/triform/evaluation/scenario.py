@@ -1,86 +1,58 @@
-"""What a run is made of: controller, robot profile, arena, distance and duration."""
+"""A scenario: everything about a run but its start and its controller."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
 
-from triform.control import SafetyFilter, SafetySettings, control_steps, make_controller, reaction_time
-from triform.engines import Engine, EngineName, check_engine, open_engine
+from triform.control import ControllerSpec, SafetyFilter, SafetySettings, control_steps, make_controller, reaction_time
+from triform.evaluation.events import Event, EventRun, run_event
 from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.rollout import Trajectory, rollout
-from triform.robots.gazebo import Base, GazeboServer, GazeboTeam, braked
+from triform.evaluation.runs import chunks, world_seeds
+from triform.robots.gazebo import GazeboBase, GazeboServer, GazeboTeam, braked
 from triform.simulation import Arena, Drive, Profile, SimulatedTeam, World, get_arena, get_profile, sample_starts
-from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, PrivilegedView, require
+from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, IntArray, require
 
-#: Robots of one chunk of runs: enough that the fixed cost of a step is small, few enough that the last chunks of an
-#: evaluation keep every processor busy. The same on every machine, so that no result can depend on it.
-ROBOTS_PER_CHUNK = 256
-
-#: Drives and measures some of many runs, see ``Scenario.run_teams``.
-Act = Callable[[slice, SimulatedTeam, Callable[[], None] | None], tuple[Trajectory, RunTable]]
-TeamName = Literal["world", "gazebo"]
-#: Step of Gazebo's physics for each of them [s].
-GAZEBO_STEPS: dict[Base, float] = {"planar": 0.01, "mecanum": 0.001}
+SimulatorName = Literal["builtin", "gazebo"]
+SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "gazebo")
+#: Step of Gazebo's physics for each base [s].
+GAZEBO_STEPS: dict[GazeboBase, float] = {"planar": 0.01, "mecanum": 0.001}
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Everything about a run but its start.
+    """Everything about a run but its start and its controller.
 
     Attributes:
-        controller: Name of the controller, one of triform.control.CONTROLLERS: policy, expert, expert-sensed,
-            expert-odd, triangulating, scan-pipeline, scan-triangulating or gnn.
-        weights: Weights of policy or gnn: a name of shipped ones or a checkpoint; the default ones if omitted.
-        team: Which body: world is the built-in one, gazebo is Gazebo 11, see docs/gazebo.md.
-        drive: How Gazebo's robots move: by a force in the plane (planar), or on four mecanum wheels (mecanum), whose
-            physics takes 1 ms steps and much longer.
-        profile: Name of the robot profile: ideal or hardware.
-        arena: Name of the arena: open, room-6 or pillars.
+        profile: Robot profile: a name or a TOML file.
+        arena: Arena: a name or a TOML file.
         distance: Prescribed neighbour distance d* [m]. A robot sees as far as 2 d*, and starts grow with d*.
         duration: Length of every run [s].
-        threads: Threads of the whole command; one for each processor if omitted.
-        range_noise: Standard deviation of measured ranges [m]; the profile's errors if omitted.
-        dropout: Share of rays that return nothing; the profile's if omitted.
-        scan_rate: LiDAR turns, and commands where the profile keeps both in step, per second [Hz]; the profile's if
-            omitted.
-        latency: Time from a finished scan until a command can use it [s]; the profile's if omitted.
-        speed_limit: Largest speed of the base [m/s]; the profile's if omitted.
-        acceleration: Largest acceleration of the base [m/s^2]; the profile's if omitted.
-        lag: Time constant of the base's lag [s]; the profile's if omitted.
-        footprint: Name of the robots' outline: ep, engineer, circle-5, circle-10, circle-15, circle-20 or box-30; the
-            profile's if omitted.
-        odometry: Whether robots know from their wheels how far they have come since their scans.
-        guard: Whether a layer between controller and wheels keeps robots from driving into what their scans show.
+        event: What happens during a run: join, leave, push, stuck or meet, with its time, such as join@15.
+        guard: Whether the safety filter between controller and wheels keeps robots from driving into what their scans
+            show; it belongs to the scenario, whoever steers.
+        simulator: Simulator of the robots' bodies: builtin, or gazebo for Gazebo 11.
+        gazebo_base: How Gazebo moves a robot: by a force in the plane (planar), or on four mecanum wheels (mecanum),
+            whose physics takes steps of 1 ms and much longer.
+        overrides: What replaces values of the profile.
     """
 
-    controller: str = "policy"
-    weights: str | None = None
-    team: TeamName = "world"
-    drive: Base = "planar"
     profile: str = "ideal"
     arena: str = "open"
     distance: float = 1.0
     duration: float = 40.0
-    threads: int | None = None
-    range_noise: float | None = None
-    dropout: float | None = None
-    scan_rate: float | None = None
-    latency: float | None = None
-    speed_limit: float | None = None
-    acceleration: float | None = None
-    lag: float | None = None
-    footprint: str | None = None
-    odometry: bool = True
+    event: Event | None = None
     guard: bool = True
+    simulator: SimulatorName = "builtin"
+    gazebo_base: GazeboBase = "planar"
+    overrides: Overrides = field(default_factory=Overrides)
 
     def __post_init__(self) -> None:
         farthest = LIDAR_REACH / SENSING_RANGE
@@ -94,52 +66,58 @@ class Scenario:
             f"duration is {self.duration} s; a run is measured over its last {WINDOW:g} s, so it must be finite and at "
             "least that long",
         )
-        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
-        require(self.team in ("world", "gazebo"), f"team is {self.team!r}; allowed are world, gazebo")
+        require(self.simulator in SIMULATORS, f"simulator is {self.simulator!r}; allowed are {', '.join(SIMULATORS)}")
         require(
-            self.drive == "planar" or self.team == "gazebo",
-            f"drive is {self.drive!r}, but the built-in world has no wheels; it goes with team gazebo",
+            self.gazebo_base == "planar" or self.simulator == "gazebo",
+            f"gazebo_base is {self.gazebo_base!r}, but the built-in world has no wheels; it goes with simulator gazebo",
         )
-        _ = self.conditions
-
-    @property
-    def conditions(self) -> Overrides:
-        """What replaces the profile's own values."""
-        return Overrides(**{field.name: getattr(self, field.name) for field in fields(Overrides)})
+        event = self.event
+        require(
+            event is None or not event.interrupts or WINDOW <= event.time <= self.duration - WINDOW,
+            f"the event comes at {0.0 if event is None else event.time:g} s; a run of {self.duration:g} s is measured "
+            f"over {WINDOW:g} s before the event and at its end, so it must come at least {WINDOW:g} s after the start "
+            "and before the end",
+        )
+        # Looked up once: files may change later, and are not there on the other machines of a cluster.
+        robot = self.overrides.applied_to(get_profile(self.profile), self.distance)
+        object.__setattr__(self, "_robot", robot)
+        object.__setattr__(self, "_arena", get_arena(self.arena))
 
     @property
     def robot(self) -> Profile:
-        """The robots as they are run: their profile under the scenario's conditions, seeing 2 d* far."""
-        robot = self.conditions.applied_to(get_profile(self.profile), self.distance)
-        return robot if self.odometry else replace(robot, odometry=False)
+        """The robots as they run: their profile with the overrides, seeing 2 d* far."""
+        robot: Profile = self.__dict__["_robot"]
+        return robot
 
     @property
-    def base(self) -> Drive:
+    def drive_limits(self) -> Drive:
         """What the robots' base can do; Gazebo's robots cannot accelerate at will."""
-        if self.team == "world":
-            return self.robot.drive
-        return braked(self.robot.drive)
+        return self.robot.drive if self.simulator == "builtin" else braked(self.robot.drive)
 
     @property
     def surroundings(self) -> Arena:
         """The arena."""
-        return get_arena(self.arena)
+        arena: Arena = self.__dict__["_arena"]
+        return arena
 
     @property
     def steps(self) -> int:
         """Control periods in one run."""
         return control_steps(self.duration, self.robot.control_period)
 
-    def make_controller(self) -> Controller[PrivilegedView]:
-        """Make the controller, guarded if so asked.
+    def make_controller(self, controller: str | ControllerSpec = "policy") -> Controller[Any]:
+        """Make a controller for these robots, behind the safety filter unless ``guard`` is off.
 
         Raises:
             TriformError: There is no such controller, or its weights cannot be used.
         """
-        controller = self.make_unguarded()
-        if not self.guard:
+        return self.filtered(make_controller(controller, self.distance, footprint=self.robot.footprint.size))
+
+    def filtered(self, controller: Controller[Any]) -> Controller[Any]:
+        """Put the safety filter of this scenario behind a controller; one that has a filter already stays as it is."""
+        if not self.guard or isinstance(controller, SafetyFilter):
             return controller
-        robot, drive, lidar = self.robot, self.base, self.robot.lidar
+        robot, drive, lidar = self.robot, self.drive_limits, self.robot.lidar
         # A limit of acceleration counts as the lag with which a robot at full speed brakes on the same way.
         fastest = min(drive.max_speed, drive.max_axis_speed)
         lag = drive.lag + fastest / (2 * drive.max_acceleration)
@@ -147,44 +125,59 @@ class Scenario:
         limits = {"max_speed": drive.max_speed, "max_axis_speed": drive.max_axis_speed}
         return SafetyFilter(controller, SafetySettings(robot.footprint.size, reaction=reaction, **limits))
 
-    def make_unguarded(self) -> Controller[PrivilegedView]:
-        """Make the controller without the layer that guards it.
-
-        Raises:
-            TriformError: There is no such controller, or its weights cannot be used.
-        """
-        return make_controller(self.controller, self.distance, self.weights, footprint=self.robot.footprint.size)
-
-    def draw_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
-        """Return random starts (runs, robots, 3) for the prescribed distance, as ``triform.simulation.starts``."""
+    def sample_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
+        """Return random starts, shape (runs, robots, 3) [m, m, rad]: functions of (robots, seed, index) and event."""
+        if self.event is not None:
+            return self.event.sample_starts(robots, runs, seed, first, self.distance)
         return sample_starts(robots, runs, seed, first, distance=self.distance)
 
-    def open_teams(
-        self, poses: FloatArray, seeds: list[np.random.SeedSequence], spare: int = 0
-    ) -> Iterator[tuple[slice, SimulatedTeam]]:
-        """Put robots into worlds of their own, and give these all at once or, in Gazebo, one after another.
+    def run(
+        self,
+        poses: FloatArray,
+        controller: Controller[Any] | str | ControllerSpec = "policy",
+        seed: int = 7,
+        indices: Sequence[int] | IntArray | None = None,
+        on_step: Callable[[float], None] | None = None,
+    ) -> tuple[Trajectory, RunTable]:
+        """Run and measure B worlds.
 
         Args:
-            poses: Starts, shape (B, N, 3).
-            seeds: One for the noise of every world.
-            spare: How many robots may be added to every world.
+            poses: Starts, shape (B, N, 3) [m, m, rad].
+            controller: A controller, or the name of one. The safety filter of the scenario is put behind it.
+            seed: Seed of the runs.
+            indices: Index of every run, shape (B,); a run is a function of start, team size, seed and index alone.
+                They count from 0 if omitted.
+            on_step: Called with the number of control periods times robots that were just done, for progress.
 
-        Yields:
-            Which of the B runs, and their worlds, which end when the next are asked for.
+        Returns:
+            What happened, and one row of measures per run: of an event that interrupts the run, from the event on, with
+            columns ``robots_before``, ``formed_before``, ``strict_before``, ``recovery_time``, ``strict_recovery_time``
+            and ``changed_robot`` besides.
 
         Raises:
             ConfigurationError: The arena has no place for a start.
-            TriformError: Gazebo is missing or fails.
+            TriformError: Gazebo is missing or fails, or the controller does.
         """
-        if self.team == "world":
-            yield slice(0, len(poses)), self.make_world(poses, seeds)
-            return
-        self.check_starts(poses)
-        settings: dict[str, Any] = {"drive": self.drive, "time_step": GAZEBO_STEPS[self.drive], "spare": spare}
-        with GazeboServer(self.robot, self.surroundings, poses.shape[1], **settings) as server:
-            for index in range(len(poses)):
-                run = slice(index, index + 1)
-                yield run, GazeboTeam(server, poses[run], seeds[run])
+        driver = (
+            self.make_controller(controller)
+            if isinstance(controller, str | ControllerSpec)
+            else self.filtered(controller)
+        )
+        robots, event = poses.shape[1], self.event
+        numbers = np.arange(len(poses)) if indices is None else np.asarray(indices)
+        seeds = world_seeds(robots, seed, numbers, *([] if event is None else [event.world_stream]))
+        draws = [] if event is None else event.draws(robots, seed, numbers)
+        parts = []
+        for runs, team in self._open_teams(poses, seeds):
+            step = None if on_step is None else partial(on_step, poses[runs, :, 0].size)
+            if event is None:
+                whole = rollout(team, driver, self.duration, step)
+                parts.append((whole, self.measure(whole, team)))
+            else:
+                found = run_event(event, team, draws[runs], driver, self.duration, self.distance, step)
+                parts.append((found.whole, self._measure_event(event, found, team)))
+        trajectories, tables = zip(*parts, strict=True)
+        return Trajectory.side_by_side(trajectories), concatenate(tables)
 
     def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence]) -> World:
         """Put robots at ``poses`` (B, N, 3) into B built-in worlds with their own noise.
@@ -200,7 +193,7 @@ class Scenario:
         """Make sure that the arena has a place for all starts (runs, N, 3), before the first of them is run.
 
         Raises:
-            ConfigurationError: Robots of a start overlap a wall or pillar, or stand on both sides of a wall.
+            ConfigurationError: Robots of a start overlap an obstacle, or stand on both sides of a wall.
         """
         runs, robots = poses.shape[:2]
         arena = self.surroundings
@@ -212,124 +205,53 @@ class Scenario:
         ]
         self._refuse_blocked(np.concatenate(blocked), robots)
 
-    def _refuse_blocked(self, blocked: BoolArray, robots: int) -> None:
-        require(
-            not blocked.any(),
-            f"{blocked.sum()} of {len(blocked)} starts of {robots} robots touch a wall or pillar of the arena "
-            f"{self.arena!r} or have robots on both sides of a wall; choose another arena, smaller teams or other "
-            "starts",
-        )
-
-    def run(
-        self,
-        poses: FloatArray,
-        seeds: list[np.random.SeedSequence],
-        controller: Controller[PrivilegedView] | None = None,
-        on_step: Callable[[float], None] | None = None,
-    ) -> tuple[Trajectory, RunTable]:
-        """Run and measure B worlds.
-
-        Args:
-            poses: Starts, shape (B, N, 3).
-            seeds: One for the noise of every world.
-            controller: The scenario's own if omitted.
-            on_step: Called with the number of control periods times robots that were just done, for progress.
-
-        Returns:
-            What happened, and one row of measures per run.
-
-        Raises:
-            TriformError: As ``open_teams``.
-        """
-        driver = controller or self.make_controller()
-
-        def act(_: slice, team: SimulatedTeam, step: Callable[[], None] | None) -> tuple[Trajectory, RunTable]:
-            trajectory = rollout(team, driver, self.duration, step)
-            return trajectory, self.measure(trajectory, team)
-
-        return self.run_teams(poses, seeds, act, on_step)
-
-    def run_teams(
-        self,
-        poses: FloatArray,
-        seeds: list[np.random.SeedSequence],
-        act: Act,
-        on_step: Callable[[float], None] | None = None,
-        spare: int = 0,
-    ) -> tuple[Trajectory, RunTable]:
-        """Do something with B worlds, and put together what happened.
-
-        Args:
-            poses: Starts, shape (B, N, 3).
-            seeds: One for the noise of every world.
-            act: Drives and measures some of the worlds; called with which of the B runs they are, their team, and what
-                is to be called once per control period.
-            on_step: Called with the number of control periods times robots that were just done, for progress.
-            spare: How many robots may be added to every world.
-
-        Returns:
-            What happened, and one row of measures per run.
-
-        Raises:
-            TriformError: As ``open_teams``.
-        """
-        parts = []
-        for runs, team in self.open_teams(poses, seeds, spare):
-            step = None if on_step is None else partial(on_step, poses[runs, :, 0].size)
-            parts.append(act(runs, team, step))
-        trajectories, tables = zip(*parts, strict=True)
-        return Trajectory.side_by_side(trajectories), concatenate(tables)
-
-    def measure(self, trajectory: Trajectory, world: SimulatedTeam) -> RunTable:
-        """Measure every run of a trajectory that ended in ``world``."""
+    def measure(self, trajectory: Trajectory, team: SimulatedTeam) -> RunTable:
+        """Measure every run of a trajectory that ended in ``team``."""
         return measure(
             trajectory,
             self.distance,
-            min_distance=world.min_distance,
-            collision=world.collided,
-            hit_arena=world.hit_arena,
+            min_distance=team.min_distance,
+            collision=team.collided,
+            hit_arena=team.hit_arena,
         )
 
+    def _measure_event(self, event: Event, found: EventRun, team: SimulatedTeam) -> RunTable:
+        later = self.measure(found.after, team)
+        if found.before is None or found.robot is None:
+            return later
+        earlier = measure(found.before, self.distance)
+        return later | {
+            "robots_before": earlier["robots"],
+            "formed_before": earlier["success"],
+            "strict_before": earlier["strict"],
+            "recovery_time": later["converge_time"] - event.time,
+            "strict_recovery_time": later["strict_time"] - event.time,
+            "changed_robot": found.robot,
+        }
 
-@dataclass(frozen=True)
-class BulkScenario(Scenario):
-    """A scenario that is run many times.
+    def _open_teams(
+        self, poses: FloatArray, seeds: list[np.random.SeedSequence]
+    ) -> Iterator[tuple[slice, SimulatedTeam]]:
+        """Yield which of the B runs, and their worlds: all at once or, in Gazebo, one after another."""
+        if self.simulator == "builtin":
+            yield slice(0, len(poses)), self.make_world(poses, seeds)
+            return
+        self.check_starts(poses)
+        spare = 1 if self.event is not None and self.event.kind == "join" else 0
+        settings: dict[str, Any] = {
+            "drive": self.gazebo_base,
+            "time_step": GAZEBO_STEPS[self.gazebo_base],
+            "spare": spare,
+        }
+        with GazeboServer(self.robot, self.surroundings, poses.shape[1], **settings) as server:
+            for index in range(len(poses)):
+                run = slice(index, index + 1)
+                yield run, GazeboTeam(server, poses[run], seeds[run])
 
-    Attributes:
-        engine: Where: local is this process, ray is Ray, on this machine or a cluster. Results are the same.
-        ray_address: Ray cluster to use, host:port or auto; Ray is started on this machine if omitted.
-    """
-
-    engine: EngineName = "local"
-    ray_address: str | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_engine(self.engine, self.ray_address)
-
-    def open_engine(self) -> AbstractContextManager[Engine]:
-        """Give the engine, for a ``with`` block.
-
-        Raises:
-            TriformError: Ray cannot be reached or started.
-        """
-        return open_engine(self.engine, self.threads, self.ray_address)
-
-
-def world_seeds(robots: int, seed: int, runs: Iterable[int], purpose: int = 1) -> list[np.random.SeedSequence]:
-    """Return one seed per run for its noise; a function of (robots, seed, index) alone, like the starts.
-
-    Args:
-        robots: Number of robots N.
-        seed: Seed of the whole evaluation.
-        runs: Index of every run.
-        purpose: Keeps streams for different uses apart; the starts themselves use none.
-    """
-    return [np.random.SeedSequence([robots, seed, int(index), purpose]) for index in runs]
-
-
-def chunks(runs: int, robots: int) -> list[slice]:
-    """Cut runs of ``robots`` robots each into chunks of nearly one size; a function of the two numbers alone."""
-    count = max(1, min(runs, round(runs * robots / ROBOTS_PER_CHUNK)))
-    bounds = [runs * chunk // count for chunk in range(count + 1)]
-    return [slice(first, last) for first, last in pairwise(bounds)]
+    def _refuse_blocked(self, blocked: BoolArray, robots: int) -> None:
+        require(
+            not blocked.any(),
+            f"{blocked.sum()} of {len(blocked)} starts of {robots} robots touch an obstacle of the arena "
+            f"{self.arena!r} or have robots on both sides of a wall; choose another arena, smaller teams or other "
+            "starts",
+        )

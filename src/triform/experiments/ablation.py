@@ -3,42 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from triform.control import Triangulating, TriangulatingLaw
 from triform.control.triangulating import BLOCKING_RADIUS
-from triform.evaluation.scenario import BulkScenario, Scenario
+from triform.evaluation.runs import Execution
+from triform.evaluation.scenario import Scenario
 from triform.experiments.grid import (
     LARGE_TEAM,
     LARGE_TEAM_TIME,
-    UNRECORDED,
+    Cell,
     Grid,
-    RunCell,
-    measure_waiting,
+    check_teams,
+    flat,
+    measure_grid,
     spread_out,
 )
-from triform.figures.ablation import ablation_figure
+from triform.figures.grids import ablation_figure
 from triform.figures.style import save_figure
+from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_folder, write_json
 from triform.report.page import Section, spell_command, write_pages
-from triform.report.tables import drop_columns, require_parquet, rich_table
+from triform.report.tables import drop_columns, require_parquet
 from triform.simulation.noise import exploration_noise
-from triform.threads import limit_threads
-from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError, require
+from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError
 
 #: Name of all files.
 _NAME = "ablation"
-_CONTROLLER = "triangulating"
 _ALWAYS_SAID = {"runs", "seed"}
-#: Options of a scenario that an ablation chooses itself.
-CHOSEN = ("controller", "weights")
+_UNRECORDED = ("output", "execution")
 #: Moments farther apart than this have errors of their own [s].
-_NOISE_PERIOD = 1e-3
+_ERROR_PERIOD = 1e-3
 
 #: Key in a summary and format of the columns, and how they are called.
 _MEASURES = (("strict", "strict", "%"), ("success", "success", "%"), ("strict at", "strict_time_median", "s"))
@@ -66,6 +65,11 @@ class Variant:
     def law(self) -> TriangulatingLaw:
         """The constants of the law."""
         return replace(TriangulatingLaw(), **self.constants)
+
+    def controller(self, distance: float) -> Controller[PrivilegedView]:
+        """Make the controller for a prescribed neighbour distance d* [m]."""
+        law = Triangulating(distance, law=self.law, blocking_radius=self.blocking_radius)
+        return NoisyPositions(law, self.position_noise) if self.position_noise > 0 else law
 
 
 def _without(*names: str) -> Variant:
@@ -95,7 +99,8 @@ class NoisyPositions:
     """A controller that sees poses, shown positions with random errors; a ``Controller[PrivilegedView]``.
 
     Every position errs by itself, the robot's own too, and the same for all who see it, anew at every moment. Errors
-    are a function of the random pushes in the view and of the time, so a run does not depend on others in the batch.
+    are a function of the exploration noise in the view and of the time, so a run does not depend on others in the
+    batch.
     """
 
     privileged = True
@@ -119,12 +124,12 @@ class NoisyPositions:
         """Return body twists (B, N, 3).
 
         Raises:
-            TriformError: If the view carries no random pushes.
+            TriformError: If the view carries no exploration noise.
         """
         if view.noise is None:
-            raise TriformError("noisy positions need a team whose views carry random pushes")
+            raise TriformError("noisy positions need a team whose views carry exploration noise")
         keys = np.ascontiguousarray(view.noise[:, 0, 0]).view(np.uint64)
-        moment = round(view.time / _NOISE_PERIOD) * NOISE_PERIOD
+        moment = round(view.time / _ERROR_PERIOD) * NOISE_PERIOD
         poses = view.poses.copy()
         # The difference of two positions errs by both errors.
         poses[..., :2] += self._noise / np.sqrt(2) * exploration_noise(keys, poses.shape[1], moment)
@@ -132,91 +137,60 @@ class NoisyPositions:
 
 
 @dataclass(frozen=True)
-class AblatedScenario(Scenario):
-    """Everything about a run of a variant but its start.
-
-    Attributes:
-        law: Constants of the law.
-        blocking_radius: A robot hides who is behind a disc of this radius [m].
-        position_noise: Standard deviation of what is seen of another robot's position, along each axis [m].
-    """
-
-    law: TriangulatingLaw = field(default_factory=TriangulatingLaw)
-    blocking_radius: float = BLOCKING_RADIUS
-    position_noise: float = 0.0
-
-    def make_unguarded(self) -> Controller[PrivilegedView]:
-        """Make the controller without the layer that guards it."""
-        law = Triangulating(self.distance, law=self.law, blocking_radius=self.blocking_radius)
-        return NoisyPositions(law, self.position_noise) if self.position_noise > 0 else law
-
-
-@dataclass(frozen=True)
-class AblateConfig(BulkScenario):
-    """Settings of an ablation of the triangulating law.
+class AblateConfig:
+    """An ablation of the triangulating law.
 
     Attributes:
         robots: Team sizes; teams of more than 13 robots get three times the duration.
         runs: Runs of every variant and team size.
         seed: A run is a function of team size, seed and index alone.
         output: Folder for the results, from which an ablation that was stopped goes on.
+        scenario: Everything else about the runs.
+        execution: Where the runs are computed.
     """
 
-    controller: str = _CONTROLLER
     robots: tuple[int, ...] = (5, 9, 13, 25)
     runs: int = 100
     seed: int = 7
     output: Path = Path(_NAME)
+    scenario: Scenario = field(default_factory=Scenario)
+    execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        require(
-            self.controller == _CONTROLLER and self.weights is None,
-            f"the controller is {self.controller!r} with weights {self.weights!r}; an ablation is of the triangulating "
-            "law, so they cannot be chosen",
-        )
-        require(len(self.robots) > 0, "robots is empty; at least one team size is needed")
-        for robots in self.robots:
-            require(robots >= 3, f"robots is {robots}; a team has at least 3 robots, or it can never be strict")
-        require(self.runs >= 1, f"runs is {self.runs}; at least 1 is needed")
-        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        check_teams(self.robots, self.runs, self.seed, least=3)
 
     @property
     def columns(self) -> list[tuple[str, int]]:
         """Profile and team size of the columns of the table."""
-        return [(self.profile, robots) for robots in dict.fromkeys(self.robots)]
+        return [(self.scenario.profile, robots) for robots in dict.fromkeys(self.robots)]
 
     @property
-    def cells(self) -> list[RunCell]:
+    def cells(self) -> list[Cell]:
         """What is run, variant by variant."""
-        shared = {each.name: getattr(self, each.name) for each in fields(Scenario)}
+        longer = replace(self.scenario, duration=LARGE_TEAM_TIME * self.scenario.duration)
         cells = []
         for label, variant in VARIANTS.items():
-            scenario = AblatedScenario(
-                **shared,
-                law=variant.law,
-                blocking_radius=variant.blocking_radius,
-                position_noise=variant.position_noise,
-            )
-            longer = replace(scenario, duration=LARGE_TEAM_TIME * self.duration)
-            for _, robots in self.columns:
-                cells.append(RunCell(label, longer if robots > LARGE_TEAM else scenario, robots, self.runs))
+            controller = variant.controller(self.scenario.distance)
+            for profile, robots in self.columns:
+                scenario = longer if robots > LARGE_TEAM else self.scenario
+                name, labels = f"{label}, {robots} robots, {profile}", {"label": label, "profile": profile}
+                cells.append(Cell(labels, scenario, controller, robots, self.runs, self.seed, name))
         return cells
 
     @property
     def command(self) -> str:
         """The command that makes the ablation again."""
-        return spell_command(["triform", "ablate"], self, _ALWAYS_SAID, {*UNRECORDED, *CHOSEN})
+        return spell_command(["triform", "ablate"], self, _ALWAYS_SAID, _UNRECORDED)
 
 
-def run_ablate(config: AblateConfig, console: Console) -> list[Path]:
-    """Run all variants with all team sizes, with progress, and write tables, a figure and a page.
+def run_ablate(config: AblateConfig, listener: Listener = SILENT) -> list[Path]:
+    """Run all variants with all team sizes, and write tables, a figure and a page.
 
     The tables are rewritten whenever a cell is done. The same command goes on from there.
 
     Args:
         config: What to run and where to put it.
-        console: Where to show progress and the table.
+        listener: Hears of progress, tables and files.
 
     Returns:
         The pages written.
@@ -226,28 +200,29 @@ def run_ablate(config: AblateConfig, console: Console) -> list[Path]:
     """
     prepare_folder(config.output)
     require_parquet()
-    with limit_threads(config.threads), config.open_engine() as engine:
-        measured = Grid(config.output / f"{_NAME}.parquet", config.cells, config.seed)
-        measure_waiting(measured, engine, console, lambda seconds: _write(config, measured, seconds))
-    summaries = measured.summaries()
-    save_figure(ablation_figure(summaries, measured.labels), config.output / f"{_NAME}.png")
+    grid = Grid(config.cells, config.output / f"{_NAME}.parquet")
+    measure_grid(grid, config.execution, lambda seconds: _write(config, grid, seconds), listener)
+    summaries = grid.summaries()
+    labels = list(dict.fromkeys(cell.labels["label"] for cell in grid.cells))
+    save_figure(ablation_figure(summaries, labels), config.output / f"{_NAME}.png")
     section = make_section(config, summaries)
     unshown = [heading for heading in section.headings if heading.startswith(_UNSHOWN)]
-    console.print(rich_table(section.title, *drop_columns(section.headings, section.rows, unshown)))
+    listener.table(section.title, *drop_columns(section.headings, section.rows, unshown))
     pages = write_pages(config.output, "What the terms of the triangulating law are for", [section], _NAME)
     for path in [*(config.output / name for name in (*section.files, section.image)), *pages]:
-        console.print(f"wrote {path}", soft_wrap=True)
+        listener.say(f"wrote {path}")
     return pages
 
 
 def make_section(config: AblateConfig, summaries: Sequence[dict[str, Any]]) -> Section:
     """Return the page's section over what ``Grid.summaries`` returned."""
+    scenario = config.scenario
     text = (
-        f"{config.runs} random starts per variant and team size with seed {config.seed}, {config.duration:g} s each, "
-        f"{LARGE_TEAM_TIME * config.duration:g} s for more than {LARGE_TEAM} robots; profile {config.profile}, arena "
-        f"{config.arena}, prescribed distance {config.distance:g} m, {'behind' if config.guard else 'without'} the "
-        "layer that keeps robots from driving into what their scans show. Robots see true positions in range that "
-        "nobody hides. Strict: the run ends in a true triangulation; success: the formation error of the last 5 s is "
+        f"{config.runs} random starts per variant and team size with seed {config.seed}, "
+        f"{scenario.duration:g} s each, {LARGE_TEAM_TIME * scenario.duration:g} s for more than {LARGE_TEAM} robots; "
+        f"profile {scenario.profile}, arena {scenario.arena}, prescribed distance {scenario.distance:g} m, "
+        f"{'behind' if scenario.guard else 'without'} the safety filter. Robots see true positions in range that "
+        "no robot hides. Strict: the run ends in a true triangulation; success: the formation error of the last 5 s is "
         "below 10 %; strict at: median time from which runs are strict to the end, of those that are. Numbers in "
         "headings: robots. Bars are Wilson's 95 % intervals, the vertical line is the whole law."
     )
@@ -264,12 +239,12 @@ def make_section(config: AblateConfig, summaries: Sequence[dict[str, Any]]) -> S
     )
 
 
-def _write(config: AblateConfig, measured: Grid, wall_seconds: float) -> None:
+def _write(config: AblateConfig, grid: Grid, wall_seconds: float) -> None:
     """Write the summaries of everything that is done."""
     values = {
-        "config": {name: value for name, value in asdict(config).items() if name not in (*UNRECORDED, *CHOSEN)},
+        "config": {name: value for name, value in flat(config).items() if name not in _UNRECORDED},
         "wall_seconds": round(wall_seconds, 3),
         "variants": {label: asdict(variant) | {"law": asdict(variant.law)} for label, variant in VARIANTS.items()},
-        "cells": measured.summaries(),
+        "cells": grid.summaries(),
     }
     write_json(config.output / f"{_NAME}.json", values)

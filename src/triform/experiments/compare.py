@@ -1,40 +1,38 @@
-"""Controllers side by side over many team sizes, ideal and like hardware: the work of ``triform compare``."""
+"""Controllers side by side over many team sizes and profiles: the work of ``triform compare``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from triform.control import CONTROLLERS
-from triform.control.registry import WITH_WEIGHTS
-from triform.evaluation.scenario import BulkScenario, Scenario
+from triform.control import ControllerSpec
+from triform.evaluation.runs import Execution
+from triform.evaluation.scenario import Scenario
 from triform.experiments.grid import (
     LARGE_TEAM,
     LARGE_TEAM_TIME,
-    UNRECORDED,
+    Cell,
     Grid,
-    RunCell,
-    measure_waiting,
+    check_teams,
+    flat,
+    measure_grid,
     spread_out,
 )
-from triform.experiments.reproduce_config import REAL_PROFILE, Contestant
+from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_folder, write_json
 from triform.report.page import Section, spell_command, write_pages
-from triform.report.tables import drop_columns, require_parquet, rich_table
-from triform.threads import limit_threads
+from triform.report.tables import drop_columns, require_parquet
 from triform.timing.step_time import TEAM, network_size, record_views, step_times, what_it_sees
 from triform.types import require
 
 #: Name of all files.
 _NAME = "compare"
-_IDEAL = "ideal"
+#: The profile of the second group of team sizes, like the paper's real robots.
+REAL_PROFILE = "hardware"
 _ALWAYS_SAID = {"runs", "seed"}
-#: Options of a scenario that a comparison chooses itself.
-CHOSEN = ("controller", "weights", "profile")
+_UNRECORDED = ("output", "execution")
 
 #: Title, key in a summary, format and explanation of the tables that follow the first one.
 _TABLES = (
@@ -47,34 +45,40 @@ _UNSHOWN = ("sees", "parameters")
 
 
 @dataclass(frozen=True)
-class CompareConfig(BulkScenario):
-    """Settings of a comparison of controllers.
+class CompareConfig:
+    """A comparison of controllers on the same starts.
 
     Attributes:
-        controllers: Names of controllers; policy:NAME and gnn:NAME have the weights of that name or in that folder. One
-            that cannot be made, such as one whose weights are not there, is left out.
-        robots: Team sizes in the ideal profile; teams of more than 13 robots get three times the duration.
+        controllers: Controllers, such as policy:paper, triangulating or FILE.py:CLASS. One that cannot be made, such as
+            one whose weights are missing, is left out.
+        robots: Team sizes in the scenario's profile; teams of more than 13 robots get three times the duration.
         hardware_robots: Team sizes in the hardware profile.
         runs: Runs of each team of at most 13 robots.
         large_runs: Runs of each larger team.
         seed: A run is a function of profile, team size, seed and index alone.
         output: Folder for the results, from which a comparison that was stopped goes on.
+        scenario: Everything else about the runs.
+        execution: Where the runs are computed.
     """
 
-    controllers: tuple[str, ...] = (
-        "policy:default",
-        "policy:short",
-        "policy:cnn",
-        "policy:dense",
-        "gnn:gnn",
-        "policy:paper",
-        "policy:large",
-        "scan-pipeline",
-        "scan-triangulating",
-        "expert",
-        "expert-sensed",
-        "expert-odd",
-        "triangulating",
+    controllers: tuple[ControllerSpec, ...] = tuple(
+        map(
+            ControllerSpec.parse,
+            (
+                "policy:default",
+                "policy:short",
+                "policy:cnn",
+                "gnn:gnn",
+                "policy:paper",
+                "policy:large",
+                "scan-pipeline",
+                "scan-triangulating",
+                "expert",
+                "expert-sensed",
+                "expert-odd",
+                "triangulating",
+            ),
+        )
     )
     robots: tuple[int, ...] = (5, 7, 9, 11, 13, 25, 50, 100)
     hardware_robots: tuple[int, ...] = (4, 5, 7, 9)
@@ -82,66 +86,50 @@ class CompareConfig(BulkScenario):
     large_runs: int = 20
     seed: int = 7
     output: Path = Path("compare")
+    scenario: Scenario = field(default_factory=Scenario)
+    execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in CHOSEN:
-            default = next(each.default for each in fields(Scenario) if each.name == name)
-            require(
-                getattr(self, name) == default,
-                f"{name} is {getattr(self, name)!r}; a comparison runs all its controllers in the profiles {_IDEAL} "
-                f"and {REAL_PROFILE}, so it cannot be chosen",
-            )
         require(len(self.controllers) > 0, "controllers is empty; at least one controller is needed")
-        for contestant in self.contestants:
-            require(
-                contestant.controller in CONTROLLERS,
-                f"there is no controller {contestant.controller!r} to compare; there are {', '.join(CONTROLLERS)}",
-            )
-        labels = [contestant.label for contestant in self.contestants]
+        labels = [controller.label for controller in self.contestants]
         for label in labels:
             require(labels.count(label) == 1, f"controllers names {label} {labels.count(label)} times; once is enough")
-        require(len(self.columns) > 0, "robots and hardware_robots are empty; at least one team size is needed")
-        for robots in (*self.robots, *self.hardware_robots):
-            require(robots >= 1, f"a team size is {robots}; a team has at least 1 robot")
-        require(self.runs >= 1, f"runs is {self.runs}; at least 1 is needed")
+        check_teams((*self.robots, *self.hardware_robots), self.runs, self.seed)
         require(self.large_runs >= 1, f"large_runs is {self.large_runs}; at least 1 is needed")
-        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
 
     @property
-    def contestants(self) -> list[Contestant]:
+    def contestants(self) -> list[ControllerSpec]:
         """The controllers to compare; one that has weights gets its default ones if none are named."""
-        named = [name.partition(":") for name in self.controllers]
-        return [Contestant(controller, weights or WITH_WEIGHTS.get(controller)) for controller, _, weights in named]
+        return [controller.resolved for controller in self.controllers]
 
     @property
     def columns(self) -> list[tuple[str, int]]:
         """Profile and team size of every column of a table."""
-        ideal = [(_IDEAL, robots) for robots in dict.fromkeys(self.robots)]
-        return ideal + [(REAL_PROFILE, robots) for robots in dict.fromkeys(self.hardware_robots)]
+        first = [(self.scenario.profile, robots) for robots in dict.fromkeys(self.robots)]
+        return first + [(REAL_PROFILE, robots) for robots in dict.fromkeys(self.hardware_robots)]
 
     @property
-    def cells(self) -> list[RunCell]:
+    def cells(self) -> list[Cell]:
         """What is run, controller by controller."""
-        return [self._cell(contestant, *column) for contestant in self.contestants for column in self.columns]
+        return [self._cell(controller, *column) for controller in self.contestants for column in self.columns]
 
     @property
     def command(self) -> str:
         """The command that makes the comparison again."""
-        return spell_command(["triform", "compare"], self, _ALWAYS_SAID, {*UNRECORDED, *CHOSEN})
+        return spell_command(["triform", "compare"], self, _ALWAYS_SAID, _UNRECORDED)
 
-    def _cell(self, contestant: Contestant, profile: str, robots: int) -> RunCell:
-        large = robots > LARGE_TEAM
-        shared = {field.name: getattr(self, field.name) for field in fields(Scenario)}
-        duration = self.duration * (LARGE_TEAM_TIME if large else 1)
-        changes = asdict(contestant) | {"profile": profile, "duration": duration}
+    def _cell(self, controller: ControllerSpec, profile: str, robots: int) -> Cell:
+        large, label = robots > LARGE_TEAM, controller.label
+        duration = self.scenario.duration * (LARGE_TEAM_TIME if large else 1)
+        scenario = replace(self.scenario, profile=profile, duration=duration)
         runs = self.large_runs if large else self.runs
-        return RunCell(contestant.label, Scenario(**(shared | changes)), robots, runs)
+        name, labels = f"{label}, {robots} robots, {profile}", {"label": label, "profile": profile}
+        return Cell(labels, scenario, controller, robots, runs, self.seed, name, label)
 
 
 @dataclass(frozen=True)
-class Facts:
-    """What is to be known about a controller besides its measures.
+class Cost:
+    """What a controller sees and costs.
 
     Attributes:
         sees: From what it computes a robot's command.
@@ -154,15 +142,15 @@ class Facts:
     step_time: float
 
 
-def run_compare(config: CompareConfig, console: Console) -> list[Path]:
-    """Run all controllers with all team sizes, with progress, and write tables and a page.
+def run_compare(config: CompareConfig, listener: Listener = SILENT) -> list[Path]:
+    """Run all controllers with all team sizes, and write tables and a page.
 
     All files are rewritten whenever a cell is done. The same command goes on from there, and so does one with more
     controllers or team sizes. Times of steps are measured anew, of all controllers in turns, before anything is run.
 
     Args:
         config: What to run and where to put it.
-        console: Where to show progress and tables.
+        listener: Hears of progress, tables and files.
 
     Returns:
         The pages written.
@@ -172,43 +160,40 @@ def run_compare(config: CompareConfig, console: Console) -> list[Path]:
     """
     prepare_folder(config.output)
     require_parquet()
-    with limit_threads(config.threads), config.open_engine() as engine:
-        measured = Grid(config.output / f"{_NAME}.parquet", config.cells, config.seed)
-        with console.status("timing steps"):
-            facts = find_facts(config, measured)
-        measure_waiting(measured, engine, console, lambda seconds: _write(config, measured, facts, seconds))
-    sections = list_sections(config, measured.summaries(), facts, measured.skipped)
+    grid = Grid(config.cells, config.output / f"{_NAME}.parquet")
+    with listener.progress("timing steps", 1):
+        costs = find_costs(config, grid)
+    measure_grid(grid, config.execution, lambda seconds: _write(config, grid, costs, seconds), listener)
+    sections = list_sections(config, grid.summaries(), costs, grid.skipped)
     # The other tables are too wide for many terminals.
     for section in sections[:2]:
-        console.print(rich_table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN)))
+        listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
     pages = [config.output / f"{_NAME}.md", config.output / f"{_NAME}.html"]
     for path in [*(config.output / name for name in sections[0].files), *pages]:
-        console.print(f"wrote {path}", soft_wrap=True)
+        listener.say(f"wrote {path}")
     return pages
 
 
-def find_facts(config: CompareConfig, measured: Grid) -> dict[str, Facts]:
+def find_costs(config: CompareConfig, grid: Grid) -> dict[str, Cost]:
     """Time the steps of all controllers in turns, and find out their networks' sizes; by label.
 
     Raises:
         TriformError: The weights of a policy cannot be read.
     """
-    first = {cell.label: cell for cell in reversed(measured.cells)}
-    known = [contestant for contestant in config.contestants if contestant.label in first]
-    controllers = {contestant.label: measured.controller(first[contestant.label]) for contestant in known}
-    seconds = step_times(controllers, record_views(measured.cells[0].scenario, config.seed))
+    first = {cell.labels["label"]: cell for cell in reversed(grid.cells)}
+    known = [controller for controller in config.contestants if controller.label in first]
+    controllers = {controller.label: grid.controller(first[controller.label]) for controller in known}
+    seconds = step_times(controllers, record_views(grid.cells[0].scenario, config.seed))
     return {
-        contestant.label: Facts(
-            what_it_sees(contestant.controller), network_size(contestant), seconds[contestant.label]
-        )
-        for contestant in known
+        controller.label: Cost(what_it_sees(controller.name), network_size(controller), seconds[controller.label])
+        for controller in known
     }
 
 
 def list_sections(
     config: CompareConfig,
     summaries: Sequence[dict[str, Any]],
-    facts: Mapping[str, Facts],
+    costs: Mapping[str, Cost],
     skipped: Mapping[str, str],
 ) -> list[Section]:
     """Return the sections of the page: what the controllers are and how often they are strict, and other measures.
@@ -216,35 +201,37 @@ def list_sections(
     Args:
         config: What was asked for.
         summaries: What ``Grid.summaries`` returned.
-        facts: What is known about every controller that can be made, by label.
+        costs: What is known about every controller that can be made, by label.
         skipped: Those that cannot, with the reason.
     """
-    sizes = [f"{robots}" if profile == _IDEAL else f"{robots}*" for profile, robots in config.columns]
+    sizes = [f"{robots}" if profile != REAL_PROFILE else f"{robots}*" for profile, robots in config.columns]
     rows = []
-    for label, each in facts.items():
+    for label, each in costs.items():
         parameters = "-" if each.parameters is None else f"{each.parameters:,}"
         own = [label, each.sees, parameters, f"{1e3 * each.step_time:.3f}"]
         rows.append(own + spread_out(summaries, label, config.columns, "strict", "%"))
     headings = ["sees", "parameters", "step [ms]", *sizes]
     sections = [_section(config, "Strict runs", _overview(config, skipped), headings, rows)]
     for title, key, kind, text in _TABLES:
-        rows = [[label, *spread_out(summaries, label, config.columns, key, kind)] for label in facts]
+        rows = [[label, *spread_out(summaries, label, config.columns, key, kind)] for label in costs]
         sections.append(_section(config, title, text, sizes, rows))
     return sections
 
 
 def _overview(config: CompareConfig, skipped: Mapping[str, str]) -> str:
-    guarded = "behind" if config.guard else "without"
+    scenario = config.scenario
+    guarded = "behind" if scenario.guard else "without"
     parts = [
         f"Share of runs that end in a true triangulation, by number of robots; * in the profile {REAL_PROFILE}, the "
-        f"others in the profile {_IDEAL}; a dash is what is not done, here and below, or what no run defines. The same "
+        f"others in the profile {scenario.profile}; a dash is what is not done, here and below, or what no run "
+        "defines. The same "
         f"random starts with seed {config.seed} for every controller: {config.runs} of every team of at most "
-        f"{LARGE_TEAM} robots, {config.duration:g} s each, and {config.large_runs} of every larger one, "
-        f"{LARGE_TEAM_TIME * config.duration:g} s each. Arena {config.arena}, prescribed distance "
-        f"{config.distance:g} m, {guarded} the layer that keeps robots from driving into what their scans show. Sees: "
-        "from what a robot's command is computed, without that layer. Parameters: numbers of the network. Step: median "
-        "time from one robot's scan to its command on one thread of this machine, the layer included, measured for all "
-        f"controllers in turns before the runs; for those that see poses, a step of a team of {TEAM} over {TEAM}."
+        f"{LARGE_TEAM} robots, {scenario.duration:g} s each, and {config.large_runs} of every larger one, "
+        f"{LARGE_TEAM_TIME * scenario.duration:g} s each. Arena {scenario.arena}, prescribed distance "
+        f"{scenario.distance:g} m, {guarded} the safety filter. Sees: "
+        "from what a robot's command is computed, without the filter. Parameters: numbers of the network. Step: median "
+        "time from one robot's scan to its command on one thread of this machine, the filter included, measured for "
+        f"all controllers in turns before the runs; for those that see poses, a step of a team of {TEAM} over {TEAM}."
     ]
     if skipped:
         parts.append(f"Left out: {'; '.join(f'{label} ({why})' for label, why in skipped.items())}.")
@@ -257,16 +244,16 @@ def _section(config: CompareConfig, title: str, text: str, headings: list[str], 
     return Section(key, title, text, config.command, ["controller", *headings], rows, "", files)
 
 
-def _write(config: CompareConfig, measured: Grid, facts: Mapping[str, Facts], wall_seconds: float) -> None:
+def _write(config: CompareConfig, grid: Grid, costs: Mapping[str, Cost], wall_seconds: float) -> None:
     """Write the summaries and the page of everything that is done."""
-    summaries = measured.summaries()
+    summaries = grid.summaries()
     values = {
-        "config": {name: value for name, value in asdict(config).items() if name not in (*UNRECORDED, *CHOSEN)},
+        "config": {name: value for name, value in flat(config).items() if name not in _UNRECORDED},
         "wall_seconds": round(wall_seconds, 3),
-        "controllers": [{"label": label} | asdict(each) for label, each in facts.items()],
+        "controllers": [{"label": label} | asdict(each) for label, each in costs.items()],
         "cells": summaries,
-        "skipped": measured.skipped,
+        "skipped": grid.skipped,
     }
     write_json(config.output / f"{_NAME}.json", values)
-    sections = list_sections(config, summaries, facts, measured.skipped)
+    sections = list_sections(config, summaries, costs, grid.skipped)
     write_pages(config.output, "Controllers side by side", sections, _NAME)

@@ -1,31 +1,53 @@
-"""The conditions of ``triform conditions``: what is varied, one at a time, and over which values."""
+"""A controller under many conditions, one varied at a time: the work of ``triform conditions``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from triform.evaluation.incidents import INCIDENTS, MEETING, Incident
-from triform.evaluation.metrics import WINDOW
-from triform.evaluation.overrides import FOOTPRINTS
-from triform.evaluation.scenario import BulkScenario, Scenario
-from triform.experiments.dynamic import CHANGE_TIME
-from triform.experiments.grid import LARGE_TEAM, LARGE_TEAM_TIME
-from triform.report.page import spell_command
-from triform.simulation import ARENAS
-from triform.types import require
+import numpy as np
+
+from triform.control import POLICY, ControllerSpec
+from triform.evaluation.events import EVENT_TIME, EVENTS, MEETING, MEETING_GAP, PUSH_LENGTH, Event, EventKind
+from triform.evaluation.metrics import RunTable
+from triform.evaluation.overrides import Overrides
+from triform.evaluation.runs import Execution
+from triform.evaluation.scenario import Scenario
+from triform.experiments.grid import (
+    LARGE_TEAM,
+    LARGE_TEAM_TIME,
+    Cell,
+    Grid,
+    check_teams,
+    flat,
+    measure_grid,
+    read_labels,
+)
+from triform.figures.grids import FailedRun, Panel, conditions_figure, failures_figure
+from triform.figures.runs import Scene
+from triform.figures.style import save_figure
+from triform.report.listener import SILENT, Listener
+from triform.report.output import prepare_folder, write_json
+from triform.report.page import Section, spell_command, write_pages
+from triform.report.tables import drop_columns, format_value, require_parquet
+from triform.simulation import ARENAS, FOOTPRINTS, Footprint
+from triform.types import BoolArray, require
 
 Condition = Literal[
     "range-noise", "dropped-rays", "scan-rate", "latency", "speed", "acceleration", "lag", "footprint", "arena",
-    "team-size", "distance", "incident",
+    "team-size", "distance", "event",
 ]  # fmt: skip
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 
+#: Name of all files but the drawing of failed runs.
+_NAME = "conditions"
 #: Said in every command even where they are the defaults, because a reader asks for them first.
 _ALWAYS_SAID = {"controller", "runs", "seed"}
-_NEVER_SAID = {"engine", "ray_address", "threads", "output"}
+_UNRECORDED = ("output", "execution", "failures")
+#: Columns of the page that a terminal has no room for.
+_UNSHOWN = ("interval", "median error", "closest")
 
 
 @dataclass(frozen=True)
@@ -35,7 +57,7 @@ class Sweep:
     Attributes:
         title: What is varied.
         unit: Unit of the labels; empty if they have none.
-        option: The option of ``Scenario`` that is set, or ``robots`` or ``incident``.
+        option: The option of ``Scenario`` or ``Overrides`` that is set, or ``robots``.
         values: Values of the option, by their labels.
     """
 
@@ -67,96 +89,274 @@ SWEEPS: dict[Condition, Sweep] = {
     "arena": Sweep("arena", "", "arena", {name: name for name in ARENAS}),
     "team-size": Sweep("robots", "", "robots", {str(size): size for size in (2, 3, 4, 5, 7, 9, 13, 25, 50, 100)}),
     "distance": Sweep("prescribed distance", "m", "distance", _numbers(0.6, 0.8, 1, 1.25, 1.5)),
-    "incident": Sweep("incident", "", "incident", {name: name for name in INCIDENTS}),
+    "event": Sweep("event", "", "event", {name: name for name in EVENTS}),
 }
 
 
 @dataclass(frozen=True)
-class ConditionsConfig(BulkScenario):
-    """Settings of a sweep over conditions, one at a time around the scenario.
+class ConditionsConfig:
+    """A sweep over conditions, one at a time around the scenario.
 
     Attributes:
-        which: Overrides to run; results of the others that are in the folder are kept.
+        controller: Controller: a name such as policy, policy:paper or triangulating, or a class of your own as
+            FILE.py:CLASS or MODULE:CLASS.
+        which: Conditions to run; results of the others that are in the folder are kept.
         robots: Team sizes under every condition but the team size itself.
         runs: Runs of every value of a condition and team size.
         seed: A run is a function of team size, seed and index alone.
-        incident_time: When a robot leaves or is pushed [s].
+        event_time: Moment at which a robot joins, leaves or is pushed [s].
         failures: How many failed runs to draw at most.
         output: Folder for the results, from which a sweep that was stopped goes on.
+        scenario: Everything else about the runs.
+        execution: Where the runs are computed.
     """
 
+    controller: ControllerSpec = POLICY
     which: tuple[Condition, ...] = CONDITIONS
     robots: tuple[int, ...] = (7, 9)
     runs: int = 100
     seed: int = 7
-    incident_time: float = CHANGE_TIME
+    event_time: float = EVENT_TIME
     failures: int = 8
     output: Path = Path("conditions")
+    scenario: Scenario = field(default_factory=Scenario)
+    execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         require(len(self.which) > 0, "which is empty; at least one condition is needed")
         for condition in self.which:
             require(condition in CONDITIONS, f"there is no condition {condition!r}; there are {', '.join(CONDITIONS)}")
-        require(len(self.robots) > 0, "robots is empty; at least one team size is needed")
-        for robots in self.robots:
-            require(robots >= 2, f"robots is {robots}; a team under these conditions has at least 2 robots")
-        require(self.runs >= 1, f"runs is {self.runs}; at least 1 is needed")
-        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        check_teams(self.robots, self.runs, self.seed, least=2)
         require(self.failures >= 0, f"failures is {self.failures}; it must not be negative")
-        require(
-            "incident" not in self.which or WINDOW <= self.incident_time <= self.duration - WINDOW,
-            f"incident_time is {self.incident_time} s; a run of {self.duration} s is measured over {WINDOW:g} s at its "
-            f"end, so an incident must come at least {WINDOW:g} s after the start and before the end",
-        )
+        if "event" in self.which:
+            _ = self.list_cells({"event"})
 
     def command(self, condition: Condition | None = None) -> str:
         """Return the command that runs one condition again, or all that were asked for."""
         config = self if condition is None else replace(self, which=(condition,))
-        return spell_command(["triform", "conditions"], config, _ALWAYS_SAID, _NEVER_SAID)
+        return spell_command(["triform", "conditions"], config, _ALWAYS_SAID, ("output", "execution"))
+
+    def list_cells(self, shown: set[str]) -> list[Cell]:
+        """Return the cells of the conditions ``shown``, in the order in which they are shown."""
+        return [
+            self._cell(condition, label, *value)
+            for condition, sweep in SWEEPS.items()
+            if condition in shown
+            for label, given in sweep.values.items()
+            for value in self._scenarios(condition, sweep.option, given)
+        ]
+
+    def _scenarios(self, condition: Condition, option: str, value: Any) -> list[tuple[Scenario, int]]:
+        """Return the scenarios and team sizes of one value of a condition."""
+        base = self.scenario
+        if condition == "team-size":
+            longer = LARGE_TEAM_TIME if value > LARGE_TEAM else 1
+            return [(replace(base, duration=longer * base.duration), value)]
+        if condition == "event":
+            kind: EventKind = value
+            sizes = (sum(MEETING),) if kind == "meet" else self.robots
+            return [(replace(base, event=Event(kind, self.event_time)), robots) for robots in sizes]
+        if option in {each.name for each in fields(Overrides)}:
+            scenario = replace(base, overrides=replace(base.overrides, **{option: value}))
+        else:
+            scenario = replace(base, **{option: value})
+        return [(scenario, robots) for robots in self.robots]
+
+    def _cell(self, condition: Condition, label: str, scenario: Scenario, robots: int) -> Cell:
+        sweep = SWEEPS[condition]
+        name = f"{sweep.title} {label} {sweep.unit}".rstrip() + f", {robots} robots"
+        if condition == "team-size":
+            name = f"team of {robots}"
+        labels, wanted = {"condition": condition, "label": label}, condition in self.which
+        return Cell(labels, scenario, self.controller, robots, self.runs, self.seed, name, wanted=wanted)
 
 
-@dataclass(frozen=True)
-class Cell:
-    """One value of one condition with one team size: what is run many times.
+def has_formed(table: RunTable) -> BoolArray:
+    """Tell which runs ended as they should: strict, or successful if the team has only two robots."""
+    return np.where(table["robots"] > 2, table["strict"], table["success"]).astype(np.bool_)
 
-    Attributes:
-        condition: What is varied.
-        label: Its value, as people read it.
-        scenario: Everything about a run but its start.
-        robots: Robots at the start.
-        incident: What happens during a run; nothing if ``None``.
+
+def failed_runs(grid: Grid, most: int) -> list[FailedRun]:
+    """Run again the first failed run of at most so many cells, those of all conditions in turns."""
+    failing: dict[str, tuple[int, Cell, int]] = {}
+    ranks = dict.fromkeys(SWEEPS, 0)
+    for cell in grid.done:
+        condition, table = cell.labels["condition"], grid.table(cell)
+        failed = np.flatnonzero(~has_formed(table))
+        digest = str(grid.settings(cell))
+        if len(failed) and digest not in failing:
+            failing[digest] = (ranks[condition], cell, int(table["run"][failed[0]]))  # type: ignore[index]
+            ranks[condition] += 1  # type: ignore[index]
+    drawn = []
+    for _, cell, run in sorted(failing.values(), key=lambda entry: entry[0])[:most]:
+        trajectory, _ = cell.run(run, 1, grid.controller(cell))
+        scenario = cell.scenario
+        scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
+        drawn.append(FailedRun(trajectory, scene, f"{cell.name}, run {run}"))
+    return drawn
+
+
+def run_conditions(config: ConditionsConfig, listener: Listener = SILENT) -> list[Path]:
+    """Run a controller under all conditions asked for, and write tables, figures and a page.
+
+    The tables of runs and of summaries are rewritten whenever a cell is done. The same command goes on from there.
+
+    Args:
+        config: What to run and where to put it.
+        listener: Hears of progress, tables and files.
+
+    Returns:
+        The pages written.
+
+    Raises:
+        TriformError: The folder cannot be written or holds something else, or nothing can be run.
     """
+    prepare_folder(config.output)
+    require_parquet()
+    path = config.output / f"{_NAME}.parquet"
+    grid = Grid(config.list_cells({*config.which, *read_labels(path, "condition")}), path)
+    measure_grid(grid, config.execution, lambda seconds: _write(config, grid, seconds), listener)
+    with listener.progress("drawing", 1):
+        failures = failed_runs(grid, config.failures)
+        panels: dict[str, Panel] = {name: Panel(sweep.heading, tuple(sweep.values)) for name, sweep in SWEEPS.items()}
+        save_figure(conditions_figure(grid.summaries(), panels), config.output / f"{_NAME}.png")
+        if failures:
+            save_figure(failures_figure(failures), config.output / "failures.png")
+    privileged = grid.controller(grid.cells[0]).privileged
+    sections = list_sections(config, grid.summaries(), grid.skipped, len(failures), privileged)
+    for section in sections:
+        if section.rows:
+            listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
+    pages = write_pages(config.output, "Under many conditions", sections, _NAME)
+    names = [*sections[0].files, *(section.image for section in sections if section.image)]
+    for written in [*(config.output / name for name in names), *pages]:
+        listener.say(f"wrote {written}")
+    return pages
 
-    condition: Condition
-    label: str
-    scenario: Scenario
-    robots: int
-    incident: Incident | None = None
 
-    @property
-    def name(self) -> str:
-        """How people tell it from the others."""
-        if self.condition == "team-size":
-            return f"team of {self.robots}"
-        sweep = SWEEPS[self.condition]
-        return f"{sweep.title} {self.label} {sweep.unit}".rstrip() + f", {self.robots} robots"
+def _write(config: ConditionsConfig, grid: Grid, wall_seconds: float) -> None:
+    """Write the summaries of everything that is done."""
+    values = {
+        "config": {name: value for name, value in flat(config).items() if name not in _UNRECORDED},
+        "wall_seconds": round(wall_seconds, 3),
+        "cells": grid.summaries(),
+        "skipped": grid.skipped,
+    }
+    write_json(config.output / f"{_NAME}.json", values)
 
 
-def list_cells(config: ConditionsConfig) -> list[Cell]:
-    """Return the cells of all conditions, whether they are asked for or not, in the order in which they are shown."""
-    base = Scenario(**{field.name: getattr(config, field.name) for field in fields(Scenario)})
-    cells = []
-    for condition, sweep in SWEEPS.items():
-        for label, value in sweep.values.items():
-            if condition == "team-size":
-                longer = LARGE_TEAM_TIME if value > LARGE_TEAM else 1
-                scenario = replace(base, duration=longer * base.duration)
-                cells.append(Cell(condition, label, scenario, value))
-            elif condition == "incident":
-                sizes = (sum(MEETING),) if value == "meet" else config.robots
-                cells += [Cell(condition, label, base, robots, value) for robots in sizes]
-            else:
-                scenario = replace(base, **{sweep.option: value})
-                cells += [Cell(condition, label, scenario, robots) for robots in config.robots]
-    return cells
+#: Heading, key in a summary and format of the columns after value, robots, runs and intervals.
+_COLUMNS = (
+    ("hold", "strict_hold_mean", "%"),
+    ("strict at", "strict_time_median", "s"),
+    ("drift", "settled_speed_median", "cm/s"),
+    ("median error", "formation_error_median", "%%"),
+    ("closest", "min_distance", "m"),
+    ("overlaps", "collisions", "d"),
+    ("hits", "arena_hits", "d"),
+)
+
+#: What a condition needs said besides its title.
+_NOTES: dict[Condition, str] = {
+    "scan-rate": "Scans per second, and commands too where the profile keeps both in step.",
+    "latency": "Time from a finished scan until a command can use it; commands come once per control period.",
+    "speed": "The largest speed of the base; what a controller asks beyond it is shortened.",
+    "acceleration": "The ideal profile has no limit of its own.",
+    "lag": "Time constant with which the base's velocity follows the command.",
+    "team-size": "Teams of more than 13 robots get three times the duration. A team of two can never be strict.",
+    "distance": "A robot sees as far as 2 d*, and starts grow with d*.",
+}
+
+
+def list_sections(
+    config: ConditionsConfig,
+    summaries: Sequence[dict[str, Any]],
+    skipped: Mapping[str, str],
+    failures: int,
+    privileged: bool,
+) -> list[Section]:
+    """Return the sections of the page: all conditions in one figure, a table for each, and failed runs.
+
+    Args:
+        config: What was run.
+        summaries: What ``Grid.summaries`` returned.
+        skipped: Cells that could not be run, with the reason.
+        failures: How many failed runs are drawn.
+        privileged: Whether the controller sees true poses.
+    """
+    found = {summary["condition"] for summary in summaries}
+    sections = [_overview(config, skipped, privileged)]
+    for condition in SWEEPS:
+        if condition in found:
+            own = [summary for summary in summaries if summary["condition"] == condition]
+            sections.append(_condition(config, condition, own))
+    if failures:
+        text = (
+            f"The first failed run of {failures} cells with a failed run, one of every condition in turns. Where every "
+            "robot started (ring), went (line) and ended (footprint, white line to the front), and the final graph, "
+            "dashed where it is longer than robots can sense. A run fails if it does not end strict, and that of two "
+            "robots if it is no success."
+        )
+        sections.append(_section(config.command(), "Failed runs", text, ([], []), "failures.png"))
+    return sections
+
+
+def _overview(config: ConditionsConfig, skipped: Mapping[str, str], privileged: bool) -> Section:
+    scenario = config.scenario
+    parts = [
+        f"Controller {config.controller.label}, {config.runs} random starts per value and team size with seed "
+        f"{config.seed}, {scenario.duration:g} s each. One condition at a time differs from the profile "
+        f"{scenario.profile}, the arena {scenario.arena} and a prescribed distance of {scenario.distance:g} m. Strict: "
+        "the run ends in a true triangulation; success: the formation error of the last 5 s is below 10 %. Bars and "
+        "intervals are Wilson's, of 95 %. Hold: mean share of the last 5 s in which a run is strict; strict at: median "
+        "time from which runs are strict to the end; drift: median speed of their robots in the last 5 s; closest: "
+        "smallest distance between two centres; overlaps: runs in which two footprints ever overlapped; hits: runs in "
+        "which one overlapped a wall or pillar."
+    ]
+    if privileged:
+        parts.append("This controller sees true poses at once: what a LiDAR does to scans does not reach it.")
+    if skipped:
+        parts.append(f"Left out: {'; '.join(f'{name} ({why})' for name, why in skipped.items())}.")
+    return _section(config.command(), "All conditions", " ".join(parts), ([], []), "conditions.png")
+
+
+def _condition(config: ConditionsConfig, condition: Condition, summaries: Sequence[dict[str, Any]]) -> Section:
+    sweep = SWEEPS[condition]
+    headings = [sweep.heading, "robots", "runs", "strict", "interval", "success", "interval"]
+    if condition == "team-size":
+        headings = headings[1:]
+    rows = []
+    for summary in summaries:
+        row = [summary["label"], str(summary["robots"]), str(summary["runs"])]
+        for measure in ("strict", "success"):
+            low, high = (format_value(bound, "%") for bound in summary[f"{measure}_interval"])
+            row += [format_value(summary[measure], "%"), f"{low.removesuffix(' %')} to {high}"]
+        row += [format_value(summary[key], kind) for _, key, kind in _COLUMNS]
+        rows.append(row[1:] if condition == "team-size" else row)
+    headings += [heading for heading, _, _ in _COLUMNS]
+    title = condition.replace("-", " ").capitalize()
+    return _section(config.command(condition), title, _note(config, condition), (headings, rows))
+
+
+def _note(config: ConditionsConfig, condition: Condition) -> str:
+    if condition == "event":
+        return (
+            f"Stuck: one robot never moves. Meet: teams of {MEETING[0]} and {MEETING[1]}, whose nearest robots start "
+            f"{MEETING_GAP:g} d* apart. At {config.event_time:g} s a robot joins, leaves, or is pushed by "
+            f"{PUSH_LENGTH:g} d* away from the team's centre. Times count from the start. Measures are those from the "
+            "event on, but for overlaps and hits."
+        )
+    if condition == "footprint":
+        return "; ".join(f"{name}: {_outline(footprint)}" for name, footprint in FOOTPRINTS.items()) + "."
+    return _NOTES.get(condition, f"Everything but the {condition.replace('-', ' ')} as above.")
+
+
+def _outline(footprint: Footprint) -> str:
+    if footprint.is_circle:
+        return f"a circle of radius {footprint.half_length:g} m"
+    return f"a box of {footprint.length:g} m x {footprint.width:g} m"
+
+
+def _section(command: str, title: str, text: str, table: tuple[list[str], list[list[str]]], image: str = "") -> Section:
+    key = title.lower().replace(" ", "-")
+    return Section(key, title, text, command, *table, image, ["conditions.json", "conditions.parquet"])

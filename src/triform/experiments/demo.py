@@ -3,52 +3,60 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from rich.console import Console
+import numpy as np
 
+from triform.control import POLICY, ControllerSpec, drive
 from triform.evaluation.metrics import summarise
-from triform.evaluation.scenario import Scenario, world_seeds
-from triform.experiments.evaluate import describe
+from triform.evaluation.scenario import Scenario
+from triform.experiments.grid import check_teams, describe, flat
 from triform.figures.animation import animate
 from triform.figures.runs import Scene, run_figure
 from triform.figures.style import save_figure
+from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_folder, write_json
-from triform.report.tables import WIDE, progress_bar, rich_table, summary_rows
+from triform.report.tables import WIDE, legend, summary_rows
 from triform.threads import limit_threads
 from triform.types import require
 
 
 @dataclass(frozen=True)
-class DemoConfig(Scenario):
-    """Settings of the demonstration.
+class DemoConfig:
+    """A demonstration of one team.
 
     Attributes:
+        controller: Controller: a name such as policy, policy:paper or triangulating, or a class of your own as
+            FILE.py:CLASS or MODULE:CLASS.
         robots: Number of robots.
         seed: The start is a function of team size, seed and index alone.
         index: Which start: run ``index`` of an evaluation with the same team size and seed.
         output: Folder for the picture, the animation and the measures.
+        threads: Threads of the whole command; one for each processor if omitted.
+        scenario: Everything else about the run.
     """
 
+    controller: ControllerSpec = POLICY
     robots: int = 9
     seed: int = 7
     index: int = 0
     output: Path = Path("demo")
+    threads: int | None = None
+    scenario: Scenario = field(default_factory=Scenario)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        require(self.robots >= 1, f"robots is {self.robots}; a team has at least 1 robot")
-        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        check_teams((self.robots,), 1, self.seed)
         require(self.index >= 0, f"index is {self.index}; it must not be negative")
+        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
 
 
-def run_demo(config: DemoConfig, console: Console) -> list[Path]:
+def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     """Run one team, show its measures and write a picture, an animation and the measures.
 
     Args:
         config: What to run and where to put the files.
-        console: Where to show progress, table and paths.
+        listener: Hears of progress, tables and files.
 
     Returns:
         The files written: PNG, GIF and JSON.
@@ -57,29 +65,43 @@ def run_demo(config: DemoConfig, console: Console) -> list[Path]:
         TriformError: The folder cannot be written, or a name in the configuration is unknown.
     """
     prepare_folder(config.output)
-    controller = config.make_controller()
-    began = time.perf_counter()
-    poses = config.draw_starts(config.robots, 1, config.seed, first=config.index)
-    seeds = world_seeds(config.robots, config.seed, [config.index])
-    bar = progress_bar(console, f"{config.robots} robots, {config.duration:g} s", config.steps * config.robots)
+    scenario, label = config.scenario, config.controller.label
+    controller = scenario.make_controller(config.controller)
+    poses = scenario.sample_starts(config.robots, 1, config.seed, first=config.index)
+    bar = listener.progress(f"{config.robots} robots, {scenario.duration:g} s", scenario.steps * config.robots)
     with limit_threads(config.threads), bar as advance:
-        trajectory, table = config.run(poses, seeds, controller, advance)
-    result = {"robots": config.robots, **summarise(table)}
+        warm_up(config)
+        began = time.perf_counter()
+        trajectory, table = scenario.run(poses, controller, config.seed, [config.index], advance)
     took = time.perf_counter() - began
-    title = f"{config.controller}: {config.duration:g} s simulated in {took:.1f} s"
-    console.print(rich_table(title, *summary_rows([result], WIDE)))
+    result = {"robots": config.robots, **summarise(table)}
+    headings, rows = summary_rows([result], WIDE)
+    title = f"{label}: {scenario.duration:g} s simulated in {took:.1f} s"
+    listener.table(title, headings, rows, legend(headings))
+    if config.robots < 3:
+        listener.say("a team of one or two robots has no triangle, so it can be a success but never strict")
 
-    scene = Scene(config.robot.footprint, config.surroundings, config.distance)
-    with console.status("drawing"):
-        figure = run_figure(trajectory, scene, f"{config.robots} robots, controller {config.controller}")
+    scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
+    with listener.progress("drawing", 1):
+        figure = run_figure(trajectory, scene, f"{config.robots} robots, controller {label}")
+        settings = {name: value for name, value in flat(config).items() if name not in ("output", "threads")}
         paths = [
             save_figure(figure, config.output / "demo.png"),
             animate(trajectory, scene, config.output / "demo.gif"),
             write_json(
                 config.output / "demo.json",
-                {"config": describe(config, controller), "wall_seconds": took, "results": [result]},
+                {"config": settings | describe(scenario, controller), "wall_seconds": took, "results": [result]},
             ),
         ]
     for path in paths:
-        console.print(f"wrote {path}", soft_wrap=True)
+        listener.say(f"wrote {path}")
     return paths
+
+
+def warm_up(config: DemoConfig) -> None:
+    """Load or compile the kernels of a run, so that its time is that of the simulation alone."""
+    scenario = config.scenario
+    poses = scenario.sample_starts(config.robots, 1, config.seed, first=config.index)
+    if scenario.simulator == "builtin":
+        world = scenario.make_world(poses, [np.random.SeedSequence(0)])
+        drive(world, scenario.make_controller(config.controller), world.control_period)

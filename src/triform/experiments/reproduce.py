@@ -1,72 +1,143 @@
-"""The paper's Table I and Fig. 2 to 5 and 9 with our numbers beside its own, and controllers side by side."""
+"""The paper's Table I and Fig. 2 to 5 and 9 with our numbers beside its own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal
 
 import numpy as np
-from rich.console import Console
 
+from triform.control import POLICY, ControllerSpec, control_steps
 from triform.engines import Engine
 from triform.evaluation import paper
+from triform.evaluation.events import EVENT_TIME, Event, EventKind
 from triform.evaluation.metrics import TOLERANCE, WINDOW, RunTable, concatenate, summarise
 from triform.evaluation.rollout import Trajectory
-from triform.evaluation.scenario import Scenario, world_seeds
-from triform.experiments.comparison import Comparison
-from triform.experiments.dynamic import (
-    CHANGE_TIME,
-    CHANGES,
-    Change,
-    ChangedRuns,
-    DynamicConfig,
-    change_rows,
-    measure_changes,
-    run_changes,
-    summarise_changes,
-)
-from triform.experiments.evaluate import EvaluateConfig, Evaluation, describe, evaluate
-from triform.experiments.reproduce_config import KEYS, REAL_PROFILE, Contestant, ReproduceConfig, What
-from triform.experiments.reproduce_robots import REAL_PUBLISHED, SNAPSHOT_SIZES, Shown, show_real, show_snapshots
-from triform.figures.runs import Scene, TeamChange, comparison_figure, figure_3, figure_4, figure_5
-from triform.figures.style import save_figure
+from triform.evaluation.runs import Execution
+from triform.evaluation.scenario import Scenario
+from triform.experiments.compare import REAL_PROFILE
+from triform.experiments.evaluate import EvaluateConfig, evaluate
+from triform.experiments.grid import check_teams, describe, flat
+from triform.figures.paper import figure_2, figure_9
+from triform.figures.runs import Scene, TeamChange, figure_3, figure_4, figure_5
+from triform.figures.style import Figure, save_figure
+from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_folder, write_json
-from triform.report.page import Section, read_sections, write_markdown, write_pages
+from triform.report.page import Section, read_sections, spell_command, write_pages
+from triform.report.results import Evaluation
 from triform.report.tables import (
     LEGEND,
     WIDE,
-    Advance,
     drop_columns,
+    event_rows,
     format_value,
-    progress_bar,
+    legend,
     require_parquet,
-    rich_table,
     summary_rows,
     write_parquet,
 )
 from triform.threads import limit_threads
-from triform.types import Controller, PrivilegedView
+from triform.types import ConfigurationError, Controller, PrivilegedView, require
 
-__all__ = ["KEYS", "SIZES", "ReproduceConfig", "What", "reproduce", "trajectory_table"]
-
+What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "all"]
+KEYS = ["table1", "fig2", "fig3", "fig4", "fig5", "fig9"]
 SIZES = tuple(paper.SUCCESS)
-
+#: Team sizes of Fig. 2.
+SNAPSHOT_SIZES = (9, 13)
+#: Team size of the table of Fig. 5, and of the shown teams to which a robot is added and from which one is removed.
+_CHANGED, _SHOWN = 7, {"join": 6, "leave": 7}
 #: Fig. 5 shows the first of so many runs that qualifies.
 _CANDIDATES = 10
+#: What the paper calls these events.
+_CHANGES: dict[EventKind, str] = {"join": "addition", "leave": "removal"}
+#: Said in every command even where they are the defaults, because a reader asks for them first.
+_ALWAYS_SAID = {"controller", "runs", "seed"}
+#: What the paper measured with its real robots, as results name it.
+REAL_PUBLISHED = {
+    "robots": paper.REAL_ROBOTS,
+    "formation_error_median": paper.REAL_MEDIAN_ERROR,
+    "converge_time_median": paper.REAL_CONVERGE_TIME,
+}
 
-_Derived = TypeVar("_Derived", bound=Scenario)
+
+@dataclass(frozen=True)
+class ReproduceConfig:
+    """A reproduction of the paper's results.
+
+    Attributes:
+        what: Which result of the paper.
+        controller: Controller: a name such as policy, policy:paper or triangulating, or a class of your own as
+            FILE.py:CLASS or MODULE:CLASS.
+        output: Folder for the results and the page that ties them together.
+        runs: Runs of each team size, and of each change of a team.
+        seed: A start is a function of team size, seed and index alone.
+        scenario: Everything else about the runs.
+        execution: Where the runs are computed.
+    """
+
+    what: What = "all"
+    controller: ControllerSpec = POLICY
+    output: Path = Path("results")
+    runs: int = 100
+    seed: int = 7
+    scenario: Scenario = field(default_factory=Scenario)
+    execution: Execution = field(default_factory=Execution)
+
+    def __post_init__(self) -> None:
+        require(self.what in (*KEYS, "all"), f"what is {self.what!r}; allowed are {', '.join(KEYS)} and all")
+        check_teams(SIZES, self.runs, self.seed)
+        scenario = self.scenario
+        require(scenario.event is None, "the paper's results have no event but those of Fig. 5; leave event out")
+        # What the last result would stumble over after hours.
+        control_steps(scenario.duration, scenario.robot.control_period)
+        if self.what in ("fig5", "all"):
+            _ = replace(scenario, event=Event("join"))
+        if self.what in ("table1", "fig9", "all"):
+            try:
+                control_steps(scenario.duration, self.real_scenario.robot.control_period)
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{self.what} also runs the profile {REAL_PROFILE!r}: {error}") from None
+
+    @property
+    def real_scenario(self) -> Scenario:
+        """Robots like the paper's real ones."""
+        return replace(self.scenario, profile=REAL_PROFILE)
+
+    def command(self, key: str) -> str:
+        """Return the command that makes result ``key`` again: every option that matters to it and is no default."""
+        return spell_command(["triform", "reproduce", key], self, _ALWAYS_SAID, ("what", "execution"))
 
 
-def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
-    """Produce one result, or all, with progress, and the page over everything in the folder.
+@dataclass(frozen=True)
+class Result:
+    """A result before it is written.
+
+    Attributes:
+        title: Heading.
+        text: What is shown and how to read it.
+        table: Headings and formatted rows.
+        runs: Data, one row per run or record.
+        values: Measures, plain JSON values.
+        figure: The drawing; ``None`` for a table alone.
+    """
+
+    title: str
+    text: str
+    table: tuple[list[str], list[list[str]]]
+    runs: RunTable
+    values: dict[str, Any]
+    figure: Figure | None = None
+
+
+def run_reproduce(config: ReproduceConfig, listener: Listener = SILENT) -> list[Path]:
+    """Produce one result, or all, and the page over everything in the folder.
 
     Args:
         config: What to produce and where to put it.
-        console: Where to show progress and tables.
+        listener: Hears of progress, tables and files.
 
     Returns:
         The pages written.
@@ -77,73 +148,68 @@ def reproduce(config: ReproduceConfig, console: Console) -> list[Path]:
     prepare_folder(config.output)
     require_parquet()
     pages: list[Path] = []
-    with limit_threads(config.threads), config.open_engine() as engine:
-        for make in _Reproduction(config, console, engine).makers.values():
-            for stage in make():
-                section = stage
-                # After every stage, so that an interrupted reproduction leaves a page over what is done.
-                pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
-            # Controllers have been shown one by one; together they are too wide for many terminals.
-            if section.key != "comparison":
-                console.print(rich_table(section.title, *drop_columns(section.headings, section.rows, WIDE)))
+    with limit_threads(config.execution.threads), config.execution.open_engine() as engine:
+        for key, make in _Reproduction(config, listener, engine).makers.items():
+            section = _write(config, key, make())
+            # After every result, so that an interrupted reproduction leaves a page over what is done.
+            pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
+            headings, rows = drop_columns(section.headings, section.rows, WIDE)
+            listener.table(section.title, headings, rows, legend(headings))
             for name in [section.image, *section.files]:
                 if name:
-                    console.print(f"wrote {config.output / name}", soft_wrap=True)
+                    listener.say(f"wrote {config.output / name}")
     for page in pages:
-        console.print(f"wrote {page}", soft_wrap=True)
+        listener.say(f"wrote {page}")
     return pages
 
 
-class _Reproduction:
-    """Makes sections; what two of them need is computed once."""
+def _write(config: ReproduceConfig, key: str, result: Result) -> Section:
+    """Write the files of a result and return its section of the page."""
+    image = "" if result.figure is None else f"{key}.png"
+    if result.figure is not None:
+        save_figure(result.figure, config.output / image)
+    write_parquet(config.output / f"{key}.parquet", result.runs)
+    files = [f"{key}.json", f"{key}.parquet"]
+    section = Section(key, result.title, result.text, config.command(key), *result.table, image, files)
+    write_json(config.output / f"{key}.json", result.values | {"section": section.as_json()})
+    return section
 
-    def __init__(self, config: ReproduceConfig, console: Console, engine: Engine) -> None:
+
+class _Reproduction:
+    """Makes results; what two of them need is computed once."""
+
+    def __init__(self, config: ReproduceConfig, listener: Listener, engine: Engine) -> None:
         self.config = config
-        self.console = console
+        self.listener = listener
         self.engine = engine
-        self.scene = Scene(config.robot.footprint, config.surroundings, config.distance)
-        self.evaluations: dict[Contestant, Evaluation] = {}
-        makers: dict[str, Callable[[], Iterator[Section]]] = {
+        scenario = config.scenario
+        self.scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
+        makers: dict[str, Callable[[], Result]] = {
             "table1": self.table_1,
             "fig2": self.figure_2,
             "fig3": self.figure_3,
             "fig4": self.figure_4,
             "fig5": self.figure_5,
             "fig9": self.figure_9,
-            "comparison": self.comparison,
         }
         self.makers = makers if config.what == "all" else {config.what: makers[config.what]}
         # Names and weights that cannot be used are found now, not after hours.
-        if config.what != "comparison":
-            _ = self.controller
-        if "comparison" in self.makers:
-            _ = self.compared
+        self.controller: Controller[PrivilegedView] = scenario.make_controller(config.controller)
+        self.described = flat(config) | describe(scenario, self.controller)
+        for unrecorded in ("what", "output", "runs"):
+            del self.described[unrecorded]
 
     @cached_property
-    def controller(self) -> Controller[PrivilegedView]:
-        """The controller of everything but the comparison."""
-        return self.config.make_controller()
-
-    @cached_property
-    def compared(self) -> Comparison:
-        """The controllers of the comparison and what it found so far."""
-        comparison = Comparison.begin(self.config)
-        for label, reason in comparison.skipped.items():
-            self.console.print(f"the comparison leaves out {label}: {reason}", markup=False, soft_wrap=True)
-        return comparison
-
-    @property
     def evaluation(self) -> Evaluation:
         """All runs of Table I and Fig. 4."""
-        return self._evaluate(self.config.own, "evaluating")
+        return self._evaluate(self.config.scenario, SIZES)
 
     @cached_property
     def real_like(self) -> Evaluation:
         """Runs of four robots like the paper's real ones, for Table I and Fig. 9."""
-        changes = {"profile": REAL_PROFILE, "robots": (paper.REAL_ROBOTS,)}
-        return self._run(self.config.own, "hardware profile", **changes)
+        return self._evaluate(self.config.real_scenario, (paper.REAL_ROBOTS,))
 
-    def table_1(self) -> Iterator[Section]:
+    def table_1(self) -> Result:
         """Success of every team size, and four robots like the paper's real ones."""
         results = self.evaluation.results
         (real,) = self.real_like.results
@@ -171,16 +237,12 @@ class _Reproduction:
                 real,
             )
         )
-        write_parquet(self.config.output / "table1.parquet", self.evaluation.runs)
-        section = self._section(
-            "table1",
-            "Table I: success by team size",
-            f"{self.config.runs} random starts per team size, {self.config.duration:g} s each, controller "
-            f"{self.config.controller}. The paper gives one range of median errors and one converge time "
+        text = (
+            f"{self.config.runs} random starts per team size, {self.config.scenario.duration:g} s each, controller "
+            f"{self.config.controller.label}. The paper gives one range of median errors and one converge time "
             "for all sizes. Row 4* sets the simulated hardware profile beside the paper's runs of "
             "four real robots. Errors and converge times are medians. Sensed counts only pairs within 2 d*; strict is "
-            "the share of runs that end in a true triangulation; the paper reports neither.",
-            (headings, rows),
+            "the share of runs that end in a true triangulation; the paper reports neither."
         )
         published = {
             "success": paper.SUCCESS,
@@ -188,146 +250,126 @@ class _Reproduction:
             "converge_time_median": paper.CONVERGE_TIME,
             "real_robots": REAL_PUBLISHED,
         }
-        self._write(section, self.evaluation.as_json() | {"hardware_profile": real, "paper": published})
-        yield section
+        values = self.evaluation.as_json() | {"hardware_profile": real, "paper": published}
+        return Result("Table I: success by team size", text, (headings, rows), self.evaluation.runs, values)
 
-    def figure_2(self) -> Iterator[Section]:
+    def figure_2(self) -> Result:
         """Teams of two sizes at several moments."""
         trajectories, tables = self._first_runs(SNAPSHOT_SIZES)
-        shown = show_snapshots(trajectories, tables, self.scene, self.config.seed)
-        values = {"config": describe(self.config, self.controller), "results": shown.results}
-        yield self._show("fig2", shown, trajectory_table(trajectories), values)
+        results = [{"robots": int(table["robots"][0]), **summarise(table)} for table in tables]
+        text = (
+            f"The first start of each team size with seed {self.config.seed}, not selected by outcome. Every robot is "
+            "its footprint with a white line to the front, and the thin line is its way so far. Black edges are the "
+            f"Gabriel graph, dashed where longer than robots can sense. {LEGEND}"
+        )
+        values = {"config": self.described, "results": results}
+        figure = figure_2(trajectories, self.scene)
+        table = summary_rows(results)
+        return Result("Fig. 2: teams over time", text, table, trajectory_table(trajectories), values, figure)
 
-    def figure_3(self) -> Iterator[Section]:
+    def figure_3(self) -> Result:
         """Distance histories over trajectories of one run per team size."""
         trajectories, tables = self._first_runs(SIZES)
-        save_figure(figure_3(trajectories, self.scene), self.config.output / "fig3.png")
-        write_parquet(self.config.output / "fig3.parquet", trajectory_table(trajectories))
         results = [{"robots": int(table["robots"][0]), **summarise(table)} for table in tables]
-        headings, rows = summary_rows(results)
-        section = self._section(
-            "fig3",
-            "Fig. 3: distances and trajectories",
+        text = (
             f"The first start of every team size with seed {self.config.seed}, not selected by outcome. Above: "
             "distances over time of the pairs that end as Gabriel neighbours, orange-red if out of "
             "sensing range at the end; the green line is the prescribed distance, the band 10 % around it. Below: "
             "where every robot started (ring), went (line) and ended (footprint, white line to the front), and the "
-            f"final graph, dashed where it is longer than robots can sense. {LEGEND}",
-            (headings, rows),
-            image="fig3.png",
+            f"final graph, dashed where it is longer than robots can sense. {LEGEND}"
         )
-        self._write(section, {"config": describe(self.config, self.controller), "results": results})
-        yield section
+        values = {"config": self.described, "results": results}
+        figure = figure_3(trajectories, self.scene)
+        table = summary_rows(results)
+        return Result("Fig. 3: distances and trajectories", text, table, trajectory_table(trajectories), values, figure)
 
-    def figure_4(self) -> Iterator[Section]:
+    def figure_4(self) -> Result:
         """Box plots of formation error and converge time."""
-        name = self.config.controller
-        save_figure(figure_4(self.evaluation.runs, name), self.config.output / "fig4.png")
-        write_parquet(self.config.output / "fig4.parquet", self.evaluation.runs)
-        results = self.evaluation.results
-        headings, rows = summary_rows(results)
-        section = self._section(
-            "fig4",
-            "Fig. 4: formation error and converge time",
+        evaluation = self.evaluation
+        text = (
             f"{self.config.runs} runs per team size. Boxes span the quartiles with the median inside, whiskers "
             "reach 1.5 times as far, dots are the runs beyond. Orange-red: the paper's range of median errors, its "
             "median converge time and its success. Runs that never converge have no converge time, so panel b shows "
-            f"the n others only. {LEGEND}",
-            (headings, rows),
-            image="fig4.png",
+            f"the n others only. {LEGEND}"
         )
-        self._write(section, self.evaluation.as_json())
-        yield section
+        title, figure = "Fig. 4: formation error and converge time", figure_4(evaluation.runs, self._label)
+        return Result(title, text, summary_rows(evaluation.results), evaluation.runs, evaluation.as_json(), figure)
 
-    def figure_5(self) -> Iterator[Section]:
+    def figure_5(self) -> Result:
         """Snapshots of one addition and one removal, and how many of each recover."""
-        total = self.config.steps * (_CANDIDATES * (6 + 7) + self.config.runs * (7 + 7))
-        with self._progress("changing teams", total) as advance:
-            above, which_above = self._shown_change("addition", 6, advance)
-            below, which_below = self._shown_change("removal", 7, advance)
-            config = self._changing(7, self.config.runs)
-            tables = dict(measure_changes(config, self.controller, self.engine, advance))
-        save_figure(figure_5([above, below], self.scene), self.config.output / "fig5.png")
-        write_parquet(self.config.output / "fig5.parquet", concatenate([tables[change] for change in CHANGES]))
-        summaries = [summarise_changes(tables[change]) for change in CHANGES]
-        section = self._section(
-            "fig5",
-            "Fig. 5: a robot comes, a robot goes",
-            f"Above, a robot (orange) comes to six at {CHANGE_TIME:g} s; below, one of seven (orange-red) goes. "
+        above, which_above = self._shown_change("join")
+        below, which_below = self._shown_change("leave")
+        found = {kind: self._evaluate(self._changing(kind), (_CHANGED,)) for kind in _CHANGES}
+        summaries = [{"change": _CHANGES[kind], **found[kind].results[0]} for kind in _CHANGES]
+        runs = concatenate(
+            [each.runs | {"change": np.full(self.config.runs, _CHANGES[kind])} for kind, each in found.items()]
+        )
+        text = (
+            f"Above, a robot (orange) comes to six at {EVENT_TIME:g} s; below, one of seven (orange-red) goes. "
             f"Above is {which_above}; below is {which_below}. The table is "
-            f"over {self.config.runs} random additions and as many removals to teams of 7. Back: the mean error of "
-            f"{WINDOW:g} s is below {100 * TOLERANCE:g} % again within {self.config.duration - CHANGE_TIME:g} s and "
+            f"over {self.config.runs} random additions and as many removals to teams of {_CHANGED}. Back: the mean "
+            f"error of {WINDOW:g} s is below {100 * TOLERANCE:g} % again within "
+            f"{self.config.scenario.duration - EVENT_TIME:g} s and "
             "stays there; linked: right after the change the pairs within 2 d* still connect everybody; sensed: back, "
             "over pairs within 2 d*; strict: the run ends in a true triangulation; recovery time: median, at least "
-            f"{WINDOW:g} s as it is the time of a mean over {WINDOW:g} s.",
-            change_rows(summaries),
-            image="fig5.png",
+            f"{WINDOW:g} s as it is the time of a mean over {WINDOW:g} s."
         )
-        self._write(section, {"config": describe(self.config, self.controller), "results": summaries})
-        yield section
+        values = {"config": self.described, "results": summaries}
+        figure = figure_5([above, below], self.scene)
+        return Result("Fig. 5: a robot comes, a robot goes", text, event_rows(summaries), runs, values, figure)
 
-    def figure_9(self) -> Iterator[Section]:
+    def figure_9(self) -> Result:
         """Box plots of four robots like the paper's real ones."""
         real = self.real_like
+        headings, rows = summary_rows(real.results)
+        published = dict.fromkeys(headings, "-") | {
+            "robots": f"{paper.REAL_ROBOTS} (paper)",
+            "median error": format_value(paper.REAL_MEDIAN_ERROR, "%%"),
+            "time": format_value(paper.REAL_CONVERGE_TIME, "s"),
+        }
+        text = (
+            f"{self.config.runs} random starts of {paper.REAL_ROBOTS} robots in a square of 4 d* with the hardware "
+            f"profile, {self.config.scenario.duration:g} s each, controller {self._label}. All are simulated; no real "
+            "robot drove here. Boxes span the quartiles with the median inside, whiskers reach 1.5 times as far, dots "
+            "are the runs beyond; n runs have the measure. Orange-red: the medians that the paper reports of its real "
+            f"robots; it reports no more of them. {LEGEND}"
+        )
         values = real.as_json() | {"paper": REAL_PUBLISHED}
-        yield self._show("fig9", show_real(real), real.runs, values)
+        figure = figure_9(real.runs, f"{self._label}, hardware profile")
+        table = (headings, [*rows, list(published.values())])
+        return Result("Fig. 9: four robots like the real ones", text, table, real.runs, values, figure)
 
-    def comparison(self) -> Iterator[Section]:
-        """Several controllers on the same starts; a section over those that are finished after each of them."""
-        compared, folder = self.compared, self.config.output
-        for number, contestant in enumerate(list(compared.waiting), start=1):
-            label = contestant.label
-            evaluation = self._evaluate(contestant, f"{label} ({number} of {number - 1 + len(compared.waiting)})")
-            compared.finish(evaluation)
-            title = f"{label}, {evaluation.wall_seconds:.1f} s"
-            self.console.print(rich_table(title, *summary_rows(evaluation.results, WIDE)))
-            save_figure(comparison_figure(compared.results), folder / "comparison.png")
-            write_parquet(folder / "comparison.parquet", compared.runs)
-            section = self._section(
-                "comparison", "Controllers side by side", compared.text, compared.table, image="comparison.png"
-            )
-            section.files.append("comparison.md")
-            write_markdown(folder / "comparison.md", section)
-            self._write(section, compared.as_json())
-            yield section
+    @property
+    def _label(self) -> str:
+        return self.config.controller.label
 
-    def _evaluate(self, contestant: Contestant, description: str) -> Evaluation:
-        """Return all runs of a controller, which are computed once."""
-        if contestant not in self.evaluations:
-            self.evaluations[contestant] = self._run(contestant, description, robots=SIZES)
-        return self.evaluations[contestant]
-
-    def _run(self, contestant: Contestant, description: str, **changes: Any) -> Evaluation:
-        """Run and measure a controller on the starts of this reproduction."""
-        named = {"controller": contestant.controller, "weights": contestant.weights}
-        config = self._derive(EvaluateConfig, runs=self.config.runs, seed=self.config.seed, **named, **changes)
-        with self._progress(description, 1.0) as advance:
-            return evaluate(config, advance, engine=self.engine)
-
-    def _derive(self, kind: type[_Derived], **changes: Any) -> _Derived:
-        """Return a configuration of another kind for the same scenario."""
-        shared = {field.name: getattr(self.config, field.name) for field in fields(Scenario)}
-        return kind(**(shared | changes))
+    def _evaluate(self, scenario: Scenario, robots: tuple[int, ...]) -> Evaluation:
+        """Run and measure the controller on the starts of this reproduction."""
+        config = self.config
+        asked = EvaluateConfig(config.controller, robots, config.runs, config.seed, scenario=scenario)
+        return evaluate(asked, self.listener, engine=self.engine)
 
     def _first_runs(self, sizes: Sequence[int]) -> tuple[list[Trajectory], list[RunTable]]:
         """Run and measure the first start of every team size."""
+        scenario, seed = self.config.scenario, self.config.seed
         trajectories, tables = [], []
-        with self._progress("running", self.config.steps * sum(sizes)) as advance:
+        with self.listener.progress("running", scenario.steps * sum(sizes)) as advance:
             for robots in sizes:
-                poses = self.config.draw_starts(robots, 1, self.config.seed)
-                seeds = world_seeds(robots, self.config.seed, [0])
-                trajectory, table = self.config.run(poses, seeds, self.controller, advance)
+                poses = scenario.sample_starts(robots, 1, seed)
+                trajectory, table = scenario.run(poses, self.controller, seed, on_step=advance)
                 trajectories.append(trajectory)
                 tables.append(table)
         return trajectories, tables
 
-    def _changing(self, robots: int, runs: int) -> DynamicConfig:
-        return self._derive(DynamicConfig, robots=robots, runs=runs, seed=self.config.seed)
+    def _changing(self, kind: EventKind) -> Scenario:
+        return replace(self.config.scenario, event=Event(kind))
 
-    def _shown_change(self, change: Change, robots: int, advance: Advance) -> tuple[TeamChange, str]:
+    def _shown_change(self, kind: EventKind) -> tuple[TeamChange, str]:
         """Choose the run to show, and say which it is."""
-        runs = ChangedRuns(change, 0, _CANDIDATES)
-        trajectory, table = run_changes(self._changing(robots, _CANDIDATES), self.controller, runs, advance)
+        scenario, robots, seed = self._changing(kind), _SHOWN[kind], self.config.seed
+        poses = scenario.sample_starts(robots, _CANDIDATES, seed)
+        with self.listener.progress("changing teams", scenario.steps * poses[..., 0].size) as advance:
+            trajectory, table = scenario.run(poses, self.controller, seed, on_step=advance)
         formed, connected = table["formed_before"], table["connected_start"]
         shown = int(np.argmax(formed & connected))
         wanted = "had formed before the change and whose sensing graph is connected right after it"
@@ -339,8 +381,8 @@ class _Reproduction:
                 f"the change and whose sensing graph {'is' if connected[shown] else 'is not'} connected right after "
                 f"it: none of the first {_CANDIDATES} starts had formed and stayed connected"
             )
-        after = robots + 1 if change == "addition" else robots - 1
-        return TeamChange(trajectory.run(shown), CHANGE_TIME, f"{robots} → {after} robots"), which
+        after = robots + 1 if kind == "join" else robots - 1
+        return TeamChange(trajectory.run(shown), EVENT_TIME, f"{robots} → {after} robots"), which
 
     def _row(self, robots: str, success: str, error: str, time: str, ours: dict[str, Any]) -> list[str]:
         return [
@@ -354,25 +396,6 @@ class _Reproduction:
             time,
             format_value(ours["converge_time_median"], "s"),
         ]
-
-    def _section(
-        self, key: str, title: str, text: str, table: tuple[list[str], list[list[str]]], image: str = ""
-    ) -> Section:
-        return Section(key, title, text, self.config.command(key), *table, image, [f"{key}.json", f"{key}.parquet"])
-
-    def _show(self, key: str, shown: Shown, runs: RunTable, values: dict[str, Any]) -> Section:
-        """Write a figure and its data, and return its section."""
-        save_figure(shown.figure, self.config.output / f"{key}.png")
-        write_parquet(self.config.output / f"{key}.parquet", runs)
-        section = self._section(key, shown.title, shown.text, shown.table, f"{key}.png")
-        self._write(section, values)
-        return section
-
-    def _write(self, section: Section, values: dict[str, Any]) -> None:
-        write_json(self.config.output / f"{section.key}.json", values | {"section": section.as_json()})
-
-    def _progress(self, description: str, total: float) -> AbstractContextManager[Advance]:
-        return progress_bar(self.console, description, total)
 
 
 def trajectory_table(trajectories: Sequence[Trajectory]) -> RunTable:

@@ -1,16 +1,15 @@
-"""Figures of a controller under many conditions."""
+"""Figures of grids: a controller under many conditions, and the law without each of its terms."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from triform.evaluation.rollout import Trajectory
-from triform.experiments.conditions import SWEEPS, Condition
 from triform.figures.runs import Scene, draw_trajectories
 from triform.figures.style import (
     BLUE,
@@ -34,6 +33,19 @@ _LONG_LABEL = 4
 
 
 @dataclass(frozen=True)
+class Panel:
+    """What one panel of a figure shows.
+
+    Attributes:
+        heading: What is varied, with the unit.
+        labels: Its values, in their order.
+    """
+
+    heading: str
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class FailedRun:
     """A run that did not end as it should.
 
@@ -48,16 +60,17 @@ class FailedRun:
     title: str
 
 
-def conditions_figure(summaries: Sequence[dict[str, Any]]) -> Figure:
+def conditions_figure(summaries: Sequence[dict[str, Any]], conditions: Mapping[str, Panel]) -> Figure:
     """Draw the strict and the success rate over the values of every condition, one panel per condition.
 
     Bars are Wilson's 95 % intervals.
 
     Args:
-        summaries: What ``ConditionSweep.summaries`` returned.
+        summaries: What ``Grid.summaries`` returned.
+        conditions: The panels, by condition.
     """
     found = {summary["condition"] for summary in summaries}
-    shown: list[Condition] = [condition for condition in SWEEPS if condition in found]
+    shown = [condition for condition in conditions if condition in found]
     sizes = sorted({summary["robots"] for summary in summaries if summary["condition"] != "team-size"})
     colours = {size: _COLOURS[index % len(_COLOURS)] for index, size in enumerate(sizes)}
     columns = min(_COLUMNS, len(shown))
@@ -66,7 +79,7 @@ def conditions_figure(summaries: Sequence[dict[str, Any]]) -> Figure:
         figure, panels = plt.subplots(rows, columns, figsize=(3.1 * columns, 2.75 * rows + 0.4), squeeze=False)
         for axes, condition in zip(panels.flat, shown, strict=False):
             own = [summary for summary in summaries if summary["condition"] == condition]
-            _draw_condition(axes, condition, own, colours)
+            _draw_condition(axes, condition, conditions[condition], own, colours)
         for axes in panels.flat[len(shown) :]:
             axes.set_axis_off()
         for axes in panels[:, 0]:
@@ -81,10 +94,9 @@ def conditions_figure(summaries: Sequence[dict[str, Any]]) -> Figure:
 
 
 def _draw_condition(
-    axes: Axes, condition: Condition, summaries: Sequence[dict[str, Any]], colours: dict[int, str]
+    axes: Axes, condition: str, panel: Panel, summaries: Sequence[dict[str, Any]], colours: dict[int, str]
 ) -> None:
-    values = SWEEPS[condition].values
-    labels = [label for label in values if any(summary["label"] == label for summary in summaries)]
+    labels = [label for label in panel.labels if any(summary["label"] == label for summary in summaries)]
     # In the panel of team sizes, all belong to one series.
     series = [None] if condition == "team-size" else [size for size in colours if _of_size(summaries, size)]
     drawn = [(size, measure) for size in series for measure in ("success", "strict")]
@@ -109,7 +121,7 @@ def _draw_condition(
             mfc=None if strict else "white",
             ms=4,
             lw=0.9 if strict else 0.7,
-            ls="none" if condition in ("footprint", "arena", "incident") else "-" if strict else (0, (2, 2)),
+            ls="none" if condition in ("footprint", "arena", "event") else "-" if strict else (0, (2, 2)),
             elinewidth=0.8,
             clip_on=False,
             zorder=3 if strict else 2,
@@ -118,7 +130,7 @@ def _draw_condition(
     axes.set_xticks(range(len(labels)), labels, **(slope if max(map(len, labels)) > _LONG_LABEL else {}))
     axes.set_xlim(-0.5, len(labels) - 0.5)
     axes.set_ylim(0, 102)
-    axes.set_title(SWEEPS[condition].heading, loc="left")
+    axes.set_title(panel.heading, loc="left")
     axes.grid(visible=False, axis="x")
 
 
@@ -137,4 +149,45 @@ def failures_figure(runs: Sequence[FailedRun]) -> Figure:
             axes.set_title(run.title, loc="left", fontsize=8)
         for axes in panels.flat[len(runs) :]:
             axes.set_axis_off()
+    return figure
+
+
+#: Marker, colour, filling and place beside the row's line of each measure.
+_ABLATION_MEASURES = (("success", "s", GREY, "white", 0.17), ("strict", "o", BLUE, BLUE, -0.17))
+
+
+def ablation_figure(summaries: Sequence[dict[str, Any]], labels: Sequence[str]) -> Figure:
+    """Draw the strict and the success rate of every variant, one panel per team size.
+
+    Bars are Wilson's 95 % intervals; the vertical line is the strict rate of the first variant.
+
+    Args:
+        summaries: What ``Grid.summaries`` returned.
+        labels: Names of the variants, from top to bottom.
+    """
+    sizes = list(dict.fromkeys(summary["robots"] for summary in summaries))
+    with figure_style():
+        figure, panels = plt.subplots(
+            1, len(sizes), figsize=(1.4 + 1.9 * len(sizes), 0.9 + 0.24 * len(labels)), sharey=True, squeeze=False
+        )
+        for axes, size in zip(panels.flat, sizes, strict=True):
+            own = [summary for summary in summaries if summary["robots"] == size]
+            places = np.array([labels.index(summary["label"]) for summary in own])
+            for measure, marker, colour, filling, aside in _ABLATION_MEASURES:
+                rates = np.array([100 * summary[measure] for summary in own])
+                low, high = 100 * np.array([summary[f"{measure}_interval"] for summary in own]).T
+                axes.errorbar(
+                    rates, places + aside, xerr=np.maximum(0.0, [rates - low, high - rates]), ls="none", marker=marker,
+                    ms=4, color=colour, mfc=filling, elinewidth=0.8, clip_on=False, zorder=3, label=measure,
+                )  # fmt: skip
+            for summary in own:
+                if summary["label"] == labels[0]:
+                    axes.axvline(100 * summary["strict"], color=INK, lw=0.7, ls=(0, (3, 3)), zorder=1)
+            axes.set_xlim(0, 102)
+            axes.set_ylim(len(labels) - 0.5, -0.5)
+            axes.set_yticks(range(len(labels)), labels)
+            axes.set_title(f"{size} robots", loc="left")
+            axes.set_xlabel("runs [%]")
+        handles, names = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles[::-1], names[::-1], loc="outside lower center", ncols=2)
     return figure

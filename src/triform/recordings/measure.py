@@ -1,64 +1,62 @@
-"""Recorded runs, measured and drawn: the work of ``triform evaluate --recording``."""
+"""Recorded runs, measured and drawn: the work of ``triform measure``."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from triform import __version__
 from triform.evaluation.metrics import RunTable, concatenate, measure
-from triform.evaluation.overrides import get_footprint
 from triform.evaluation.rollout import Trajectory
-from triform.experiments.evaluate import EvaluateConfig, Evaluation, print_evaluation, run_evaluation
 from triform.recordings.resample import Recording, read_recordings
+from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_file, prepare_folder, write_json
-from triform.report.tables import progress_bar, require_parquet, write_parquet
-from triform.simulation import ROBOMASTER_EP, Arena, Footprint
+from triform.report.results import Evaluation, show_results
+from triform.report.tables import require_parquet, write_parquet
+from triform.simulation import Arena, Footprint
 from triform.simulation.world_kernels import record_contacts
 from triform.threads import limit_threads
 from triform.types import require
 
-#: Options of an evaluation that also say something about recorded runs.
-_SHARED = {"distance", "footprint", "json", "parquet", "threads"}
-
 
 @dataclass(frozen=True)
-class RecordedConfig(EvaluateConfig):
-    """Settings of an evaluation, of new runs or of recorded ones.
+class MeasureConfig:
+    """A measurement of recorded runs.
 
     Attributes:
-        recording: Files of recorded runs to measure instead: .csv or .parquet with columns time, robot, x, y, heading,
-            .npy, or a Motive export in .csv. Of the other options, only distance, footprint (ep if omitted), json,
-            parquet and threads go with them, and those that follow.
+        files: Recorded runs: .csv or .parquet with columns time, robot, x, y, heading, .npy, or a Motive export in
+            .csv.
+        distance: Prescribed neighbour distance d* [m].
+        footprint: Outline of the robots: a name such as ep, circle:0.30 (diameter) or box:0.41x0.24 [m].
         rate: Records per second of recordings in .npy [Hz].
-        start: Leave out what comes earlier after the first record of a recorded run [s].
-        end: Leave out what comes later after the first record of a recorded run [s].
-        figures: Folder for Fig. 7, 8 and 9 of recorded runs.
+        start: Leave out what comes earlier after the first record of a run [s].
+        end: Leave out what comes later after the first record of a run [s].
+        json: File for the summary.
+        parquet: File for one row per run; by default beside the summary.
+        figures: Folder for Fig. 7, 8 and 9.
+        threads: Threads of the whole command; one for each processor if omitted.
     """
 
-    recording: tuple[Path, ...] = ()
+    files: tuple[Path, ...]
+    distance: float = 1.0
+    footprint: str = "ep"
     rate: float | None = None
     start: float = 0.0
     end: float | None = None
+    json: Path | None = None
+    parquet: Path | None = None
     figures: Path | None = None
+    threads: int | None = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.recording:
-            for name in ("rate", "start", "end", "figures"):
-                require(not self._given(name), f"{name} is only for recorded runs; none are named with recording")
-            return
-        for each in fields(EvaluateConfig):
-            require(
-                each.name in _SHARED or not self._given(each.name),
-                f"{each.name} does not go with recording: what was recorded has been driven already",
-            )
-        arrays = any(path.suffix == ".npy" for path in self.recording)
+        require(len(self.files) > 0, "no file is named; name the recorded runs to measure")
+        require(0 < self.distance < np.inf, f"distance is {self.distance} m; it must be positive and finite")
+        arrays = any(path.suffix == ".npy" for path in self.files)
         require(
             (self.rate is not None) == arrays,
             "rate is missing; recordings in .npy do not say how many records per second they hold"
@@ -68,33 +66,28 @@ class RecordedConfig(EvaluateConfig):
         require(self.rate is None or 0 < self.rate < np.inf, f"rate is {self.rate} Hz; it must be positive and finite")
         require(0 <= self.start < np.inf, f"start is {self.start} s; it must be finite and not negative")
         require(self.end is None or self.end > self.start, f"end is {self.end} s; it must be later than start")
+        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        _ = self.outline
 
     @property
     def outline(self) -> Footprint:
         """Footprint of the recorded robots."""
-        return ROBOMASTER_EP if self.footprint is None else get_footprint(self.footprint)
+        return Footprint.parse(self.footprint)
 
-    def _given(self, name: str) -> bool:
-        """Whether a setting is not its default."""
-        default = next(each.default for each in fields(self) if each.name == name)
-        return bool(getattr(self, name) != default)
-
-
-def run_evaluate(config: RecordedConfig, console: Console) -> Evaluation:
-    """Measure recorded runs if any are named, else drive new ones; the arguments are those of ``run_evaluation``."""
-    if config.recording:
-        return run_recorded(config, console)
-    return run_evaluation(
-        EvaluateConfig(**{each.name: getattr(config, each.name) for each in fields(EvaluateConfig)}), console
-    )
+    @property
+    def per_run_file(self) -> Path | None:
+        """Where one row per run goes; ``None`` if nothing is to be kept."""
+        if self.parquet is None and self.json is not None:
+            return self.json.with_suffix(".parquet")
+        return self.parquet
 
 
-def run_recorded(config: RecordedConfig, console: Console) -> Evaluation:
-    """Measure recorded runs, keep the results in files, draw them and print the table.
+def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluation:
+    """Measure recorded runs, keep the results in files, draw them and show the table.
 
     Args:
         config: Which runs, and which files to write.
-        console: Where to show table and progress.
+        listener: Hears of progress, tables and files.
 
     Returns:
         What was found; one table per team size, which is that at the end of a run. The column ``recording`` says which
@@ -112,37 +105,43 @@ def run_recorded(config: RecordedConfig, console: Console) -> Evaluation:
     if per_run_file is not None:
         require_parquet()
     began = time.perf_counter()
-    outline = config.outline
     recordings: list[Recording] = []
     tables: list[RunTable] = []
-    with limit_threads(config.threads), progress_bar(console, "measuring", len(config.recording)) as advance:
-        for path in config.recording:
+    with limit_threads(config.threads), listener.progress("measuring", len(config.files)) as advance:
+        for path in config.files:
             for recording in read_recordings(path, config.rate, config.start, config.end):
                 which = {"run": np.array([len(recordings)]), "recording": np.array([recording.label])}
-                overlap = np.array([any_overlap(recording.trajectory, outline)])
+                overlap = np.array([any_overlap(recording.trajectory, config.outline)])
                 tables.append(which | measure(recording.trajectory, config.distance, collision=overlap))
                 recordings.append(recording)
             advance()
     sizes = sorted({int(table["robots"][0]) for table in tables})
     grouped = [concatenate([table for table in tables if table["robots"][0] == size]) for size in sizes]
-    evaluation = Evaluation(describe_recorded(config, recordings), grouped, time.perf_counter() - began)
+    evaluation = Evaluation(describe_recordings(config, recordings), grouped, time.perf_counter() - began)
     for sentence in [each for recording in recordings for each in recording.changes]:
-        console.print(sentence, markup=False, soft_wrap=True)
-    print_evaluation(evaluation, console)
+        listener.say(sentence)
+    show_results(evaluation, "recorded", listener)
+    for path in _write(config, evaluation, recordings, listener):
+        listener.say(f"wrote {path}")
+    return evaluation
+
+
+def _write(
+    config: MeasureConfig, evaluation: Evaluation, recordings: Sequence[Recording], listener: Listener
+) -> list[Path]:
+    """Write the files that were asked for and return their paths."""
     written: list[Path] = []
     if config.json is not None:
         written.append(write_json(config.json, evaluation.as_json()))
-    if per_run_file is not None:
-        written.append(write_parquet(per_run_file, evaluation.runs))
+    if config.per_run_file is not None:
+        written.append(write_parquet(config.per_run_file, evaluation.runs))
     if config.figures is not None:
         from triform.figures.recorded import draw_recorded
 
-        with console.status("drawing"):
+        with listener.progress("drawing", 1):
             trajectories = [recording.trajectory for recording in recordings]
-            written += draw_recorded(trajectories, evaluation.runs, outline, config.distance, config.figures)
-    for path in written:
-        console.print(f"wrote {path}", soft_wrap=True)
-    return evaluation
+            written += draw_recorded(trajectories, evaluation.runs, config.outline, config.distance, config.figures)
+    return written
 
 
 def any_overlap(trajectory: Trajectory, footprint: Footprint) -> bool:
@@ -155,8 +154,8 @@ def any_overlap(trajectory: Trajectory, footprint: Footprint) -> bool:
     return bool(overlapped.any())
 
 
-def describe_recorded(config: RecordedConfig, recordings: list[Recording]) -> dict[str, Any]:
-    """Return what was measured as plain JSON values, in the form of ``describe``."""
+def describe_recordings(config: MeasureConfig, recordings: Sequence[Recording]) -> dict[str, Any]:
+    """Return what was measured as plain JSON values."""
     return {
         "controller": "recorded",
         "distance": config.distance,

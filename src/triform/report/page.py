@@ -6,11 +6,11 @@ import base64
 import html
 import json
 import shlex
-from collections.abc import Collection
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Collection, Iterator
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
-from triform.evaluation.scenario import Scenario
 from triform.report.output import write_text
 from triform.report.tables import markdown_table
 from triform.types import TriformError
@@ -45,26 +45,33 @@ class Section:
         return asdict(self)
 
 
-def spell_command(words: list[str], config: Scenario, always: Collection[str], never: Collection[str]) -> str:
+def spell_command(words: list[str], config: Any, always: Collection[str], never: Collection[str]) -> str:
     """Return a command that runs ``config`` again.
 
     Args:
         words: How the command begins.
-        config: Its options.
+        config: Its options, nested dataclasses whose options are flat on the command line.
         always: Options that are said even where they are the defaults.
         never: Options that are left out, because they do not matter.
     """
-    spelled = list(words)
+    return shlex.join([*words, *_spell(config, always, never)])
+
+
+def _spell(config: Any, always: Collection[str], never: Collection[str]) -> Iterator[str]:
     for option in fields(config):
         value = getattr(config, option.name)
-        if option.name not in never and (option.name in always or value != option.default):
+        if option.name in never:
+            continue
+        if is_dataclass(value) and not hasattr(value, "label"):
+            yield from _spell(value, always, never)
+        elif option.name in always or value != option.default:
             name = option.name.replace("_", "-")
             if isinstance(value, bool):
-                spelled.append(f"--{name}" if value else f"--no-{name}")
+                yield f"--{name}" if value else f"--no-{name}"
                 continue
-            spelled.append(f"--{name}")
-            spelled += map(str, value) if isinstance(value, tuple) else [str(value)]
-    return shlex.join(spelled)
+            yield f"--{name}"
+            for each in value if isinstance(value, tuple) else (value,):
+                yield str(getattr(each, "label", each))
 
 
 def read_sections(folder: Path, keys: list[str]) -> list[Section]:

@@ -1,48 +1,17 @@
-"""Tables of measures: Parquet for every run, a rich table for the eye, Markdown for pages."""
+"""Tables of measures: Parquet for every run, formatted rows for the eye, Markdown for pages."""
 
 from __future__ import annotations
 
 import importlib.util
 import io
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
-
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
+from typing import Any
 
 from triform.evaluation.metrics import RunTable
 from triform.report.output import write_bytes
 from triform.types import TriformError
-
-
-class Advance(Protocol):
-    """Moves a progress bar forward."""
-
-    def __call__(self, steps: float = 1) -> None:
-        """Note that ``steps`` more steps are done."""
-        ...
-
-
-@contextmanager
-def progress_bar(console: Console, description: str, total: float) -> Iterator[Advance]:
-    """Show a progress bar with the time left while the block runs; it vanishes afterwards."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(description, total=total)
-        yield lambda steps=1: progress.advance(task, steps)
 
 
 def require_parquet() -> None:
@@ -108,15 +77,32 @@ _COLUMNS = (
 #: Columns that a terminal of 80 characters has no room for.
 WIDE = ("hold", "95 % error", "compact")
 
-#: What the headings mean, for pages.
-LEGEND = (
-    "Success: the formation error, averaged over the last 5 s, is below 10 %; sensed: the same over pairs within "
-    "2 d*; strict: the run ends in a true triangulation; hold: mean share of the last 5 s in which it is one; strict "
-    "at: median time from which runs are one to the end; drift: median speed of their robots in the last 5 s; median "
-    "and 95 % error: quantiles of the formation error; time: "
-    "median converge time of the runs that converge; compact: edges over the most that so many robots can have; "
-    "closest: smallest distance between two centres; overlap: runs in which two footprints ever overlapped."
-)
+#: What the headings of tables mean.
+MEANINGS = {
+    "success": "the formation error, averaged over the last 5 s, is below 10 %",
+    "sensed": "success over pairs within 2 d*",
+    "strict": "the run ends in a true triangulation",
+    "hold": "mean share of the last 5 s in which a run is strict",
+    "strict at": "median time from which runs are strict to the end",
+    "drift": "median speed of strict robots in the last 5 s",
+    "median error": "median of the formation error",
+    "95 % error": "95 % quantile of the formation error",
+    "time": "median converge time of the runs that converge",
+    "compact": "edges over the most that so many robots can have",
+    "closest": "smallest distance between two centres",
+    "overlap": "runs in which two footprints ever overlapped",
+    "formed before": "success over the last 5 s before the event",
+    "back": "success after the event",
+    "linked": "right after the event the pairs within 2 d* connect all robots",
+    "back if linked": "success among the linked runs",
+    "recovery time": "median time from the event to convergence, at least 5 s",
+}
+
+
+def legend(headings: Sequence[str]) -> str:
+    """Return a sentence that says what the headings of a table mean; those that speak for themselves are left out."""
+    known = "; ".join(f"{heading}: {MEANINGS[heading]}" for heading in headings if heading in MEANINGS)
+    return f"{known[:1].upper()}{known[1:]}." if known else ""
 
 
 def format_value(value: Any, kind: str) -> str:
@@ -143,6 +129,35 @@ def summary_rows(summaries: Sequence[dict[str, Any]], without: Sequence[str] = (
     return drop_columns(headings, rows, without)
 
 
+#: Columns for runs that an event interrupts.
+EVENT_COLUMNS = (
+    ("runs", "runs", "d"),
+    ("formed before", "formed_before", "%"),
+    ("back", "recovered", "%"),
+    ("linked", "connected", "%"),
+    ("back if linked", "recovered_connected", "%"),
+    ("sensed", "recovered_sensed", "%"),
+    ("strict", "strict", "%"),
+    ("recovery time", "recovery_time_median", "s"),
+    ("median error", "formation_error_median", "%%"),
+    ("closest", "min_distance", "m"),
+    ("overlap", "collision", "%"),
+)
+
+
+def event_rows(summaries: Sequence[dict[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Return headings and formatted rows of summaries of runs that an event interrupts."""
+    headings = ["change", *(heading for heading, _, _ in EVENT_COLUMNS)]
+    rows = [
+        [
+            f"{summary['robots_before']} → {summary['robots_after']}",
+            *(format_value(summary[key], kind) for _, key, kind in EVENT_COLUMNS),
+        ]
+        for summary in summaries
+    ]
+    return headings, rows
+
+
 def drop_columns(
     headings: Sequence[str], rows: Sequence[Sequence[str]], dropped: Sequence[str]
 ) -> tuple[list[str], list[list[str]]]:
@@ -151,18 +166,11 @@ def drop_columns(
     return [headings[column] for column in kept], [[row[column] for column in kept] for row in rows]
 
 
-def rich_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """Return a right-aligned table for a terminal."""
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=0)
-    for heading in headings:
-        # A unit in brackets is no markup.
-        table.add_column(escape(heading), justify="right", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
 def markdown_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a right-aligned Markdown table."""
     lines = [headings, ["---:"] * len(headings), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+#: Legend of the tables of runs, for pages.
+LEGEND = legend([heading for heading, _, _ in _COLUMNS])

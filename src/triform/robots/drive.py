@@ -15,6 +15,8 @@ import numpy as np
 from rich.console import Console
 
 from triform.control import (
+    POLICY,
+    ControllerSpec,
     LearnedPolicy,
     SafetyFilter,
     SafetySettings,
@@ -51,8 +53,8 @@ class DriveConfig:
         address: Address of the base; 192.168.2.1, that of its own Wi-Fi, if omitted.
         usb: Whether the base is on the USB cable, at 192.168.42.2.
         local_address: Address of this computer as the base sees it; the system's choice if omitted.
-        controller: Name of a controller that needs nothing but scans: policy, scan-pipeline or scan-triangulating.
-        weights: Weights of policy: a name of shipped ones or a checkpoint; the default ones if omitted.
+        controller: Controller that needs nothing but scans: policy, policy:WEIGHTS, scan-pipeline, scan-triangulating
+            or a class of your own as FILE.py:CLASS.
         distance: Prescribed neighbour distance d* [m]; the same on all robots.
         rate: Commands per second [Hz].
         max_speed: Largest speed along x and along y [m/s].
@@ -75,8 +77,7 @@ class DriveConfig:
     address: str | None = None
     usb: bool = False
     local_address: str | None = None
-    controller: str = "policy"
-    weights: str | None = None
+    controller: ControllerSpec = POLICY
     distance: float = 1.0
     rate: float = 8.0
     max_speed: float = HARDWARE.drive.max_axis_speed
@@ -170,14 +171,14 @@ class DriveConfig:
                 used.
         """
         controller: Controller[View]
-        if self.controller == "policy":
-            runtime = PolicyRuntime(weights_folder(self.weights))
+        if self.controller.name == "policy":
+            runtime = PolicyRuntime(weights_folder(self.controller.weights))
             controller = LearnedPolicy(runtime, self.distance, clock)
         else:
-            controller = make_controller(self.controller, self.distance, self.weights, footprint=self.footprint)
+            controller = make_controller(self.controller, self.distance, footprint=self.footprint)
         if controller.privileged:
             raise TriformError(
-                f"the controller {self.controller!r} needs everybody's true pose, which no real robot knows; "
+                f"the controller {self.controller.label!r} needs everybody's true pose, which no real robot knows; "
                 "policy, scan-pipeline and scan-triangulating need nothing but scans"
             )
         if not self.guard:
@@ -218,7 +219,7 @@ def run_drive(config: DriveConfig, console: Console) -> None:
         if base is not None:
             battery = "unknown" if base.battery is None else f"{base.battery} %"
             wheels = f"the base at {config.base_address} (battery {battery})"
-        screen.print(f"{config.controller} drives {wheels} by the LiDAR at {config.lidar}")
+        screen.print(f"{config.controller.label} drives {wheels} by the LiDAR at {config.lidar}")
         line = StatusLine(screen, config.footprint, config.dry_run)
 
         def tell(step: Step) -> None:

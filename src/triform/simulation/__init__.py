@@ -13,6 +13,7 @@ from triform.simulation.kinematics import (
 )
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
 from triform.simulation.profiles import (
+    FOOTPRINTS,
     HARDWARE,
     IDEAL,
     PROFILES,
@@ -27,11 +28,12 @@ from triform.simulation.profiles import (
 )
 from triform.simulation.simulated import SimulatedTeam
 from triform.simulation.spawn_kernels import is_connected
-from triform.simulation.spawning import load_starts, sample_addition, sample_starts, square_side
+from triform.simulation.spawning import load_starts, sample_addition, sample_starts, square_side, world_seeds
 from triform.simulation.world import World
 
 __all__ = [
     "ARENAS",
+    "FOOTPRINTS",
     "HARDWARE",
     "IDEAL",
     "PROFILES",
@@ -64,4 +66,5 @@ __all__ = [
     "steer",
     "twist_from_wheels",
     "wheel_speeds",
+    "world_seeds",
 ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from triform.types import FloatArray, TriformError, require
+from triform.types import ConfigurationError, FloatArray, require
 
 
 def _table(columns: int) -> FloatArray:
@@ -94,8 +94,8 @@ def get_arena(name: str) -> Arena:
     """Return the arena called ``name``.
 
     Raises:
-        TriformError: If there is no such arena.
+        ConfigurationError: If there is no such arena.
     """
     if name not in ARENAS:
-        raise TriformError(f"there is no arena {name!r}; known arenas are {', '.join(ARENAS)}")
+        raise ConfigurationError(f"there is no arena {name!r}; known arenas are {', '.join(ARENAS)}")
     return ARENAS[name]

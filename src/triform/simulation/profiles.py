@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from triform.types import FloatArray, ScanConfig, TriformError, require
+from triform.types import ConfigurationError, FloatArray, ScanConfig, require
 
 
 def _is_positive(value: float) -> bool:
@@ -50,6 +50,34 @@ class Footprint:
         """Return a circle of ``diameter`` [m]."""
         return cls("circle", diameter, diameter)
 
+    @classmethod
+    def parse(cls, text: str) -> Footprint:
+        """Read a name of ``FOOTPRINTS``, ``circle:DIAMETER`` or ``box:LENGTHxWIDTH`` [m].
+
+        Raises:
+            ConfigurationError: The text says something else.
+        """
+        if text in FOOTPRINTS:
+            return FOOTPRINTS[text]
+        shape, _, sizes = text.partition(":")
+        try:
+            numbers = [float(size) for size in sizes.split("x")]
+        except ValueError:
+            numbers = []
+        if shape == "circle" and len(numbers) == 1:
+            return cls.circle(numbers[0])
+        if shape == "box" and len(numbers) == 2:
+            return cls.box(numbers[0], numbers[1])
+        raise ConfigurationError(
+            f"footprint is {text!r}; allowed are {', '.join(FOOTPRINTS)}, circle:DIAMETER such as circle:0.30 and "
+            "box:LENGTHxWIDTH such as box:0.41x0.24, in metres"
+        )
+
+    @property
+    def label(self) -> str:
+        """The outline as ``parse`` reads it."""
+        return f"circle:{self.length:g}" if self.is_circle else f"box:{self.length:g}x{self.width:g}"
+
     @property
     def is_circle(self) -> bool:
         """Whether the outline is a circle."""
@@ -89,6 +117,18 @@ class Footprint:
 
 #: DJI RoboMaster EP.
 ROBOMASTER_EP = Footprint.box(0.320, 0.240)
+
+#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, centred on the
+#: LiDAR as all footprints are; circles are named after their radius in centimetres, the box after its side.
+FOOTPRINTS = {
+    "ep": ROBOMASTER_EP,
+    "engineer": Footprint.box(0.410, 0.240),
+    "circle-5": Footprint.circle(0.10),
+    "circle-10": Footprint.circle(0.20),
+    "circle-15": Footprint.circle(0.30),
+    "circle-20": Footprint.circle(0.40),
+    "box-30": Footprint.box(0.30, 0.30),
+}
 
 
 @dataclass(frozen=True)
@@ -242,8 +282,8 @@ def get_profile(name: str) -> Profile:
     """Return the profile called ``name``.
 
     Raises:
-        TriformError: If there is no such profile.
+        ConfigurationError: If there is no such profile.
     """
     if name not in PROFILES:
-        raise TriformError(f"there is no profile {name!r}; known profiles are {', '.join(PROFILES)}")
+        raise ConfigurationError(f"there is no profile {name!r}; known profiles are {', '.join(PROFILES)}")
     return PROFILES[name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -235,3 +236,15 @@ def _check_rows(path: Path, table: FloatArray) -> None:
             row = int(np.argmin(good))
             allowed = "a whole number from 0" if column < 2 else "a finite number"
             raise TriformError(f"{path}, row {row + 1}, column {name}: {values[row]} is not {allowed}")
+
+
+def world_seeds(robots: int, seed: int, runs: Iterable[int], purpose: int = 1) -> list[np.random.SeedSequence]:
+    """Return one seed per run for its noise; a function of (robots, seed, index) alone, like the starts.
+
+    Args:
+        robots: Number of robots N.
+        seed: Seed of the whole evaluation.
+        runs: Index of every run.
+        purpose: Keeps streams for different uses apart; the starts themselves use none.
+    """
+    return [np.random.SeedSequence([robots, seed, int(index), purpose]) for index in runs]

@@ -1,4 +1,4 @@
-"""Whether a robot's computer keeps up: the work of ``triform bench --robot``."""
+"""Whether a robot's computer keeps up: the work of ``triform bench``."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
+from triform.control import POLICY, ControllerSpec
 from triform.evaluation.scenario import Scenario
+from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_file, write_json
-from triform.report.tables import rich_table
 from triform.timing.robot_step import Job, save_moments
 from triform.timing.step_time import record_views, single_views
 from triform.types import TriformError, require
@@ -47,8 +46,7 @@ class BenchConfig:
     """Settings of a look at how fast this computer is.
 
     Attributes:
-        robot: Time one robot's way from scan to command, on one thread, as it runs on the robot.
-        weights: Weights of the policy: a name of shipped ones or a checkpoint; the default ones if omitted.
+        controller: Policy to time, such as policy or policy:WEIGHTS.
         distance: Prescribed neighbour distance d* [m].
         rate: Commands per second that the robot is to give [Hz].
         seconds: How long to take steps one after the other [s].
@@ -56,8 +54,7 @@ class BenchConfig:
         json: Where to write what was measured.
     """
 
-    robot: bool = False
-    weights: str | None = None
+    controller: ControllerSpec = POLICY
     distance: float = 1.0
     rate: float = 8.0
     seconds: float = 10.0
@@ -66,9 +63,8 @@ class BenchConfig:
 
     def __post_init__(self) -> None:
         require(
-            self.robot,
-            "say what to time: triform bench --robot times one robot's way from scan to command "
-            "(the speed of everything else is measured by make bench, in the sources)",
+            self.controller.name == "policy",
+            f"controller is {self.controller.label!r}; the bench times a policy, such as policy or policy:paper",
         )
         require(0 < self.rate < math.inf, f"rate is {self.rate} Hz; it must be positive and finite")
         require(0 < self.seconds < math.inf, f"seconds is {self.seconds}; it must be positive and finite")
@@ -78,10 +74,10 @@ class BenchConfig:
     @property
     def scenario(self) -> Scenario:
         """Where the scans come from: robots with the hardware profile."""
-        return Scenario(profile="hardware", weights=self.weights, distance=self.distance)
+        return Scenario(profile="hardware", distance=self.distance)
 
 
-def run_bench(config: BenchConfig, console: Console) -> dict[str, Any]:
+def run_bench(config: BenchConfig, listener: Listener = SILENT) -> dict[str, Any]:
     """Time one robot's way from scan to command on this computer, and say whether it keeps up.
 
     The steps are taken in a process of its own, which holds nothing but what a robot needs. It is started twice: with
@@ -89,7 +85,7 @@ def run_bench(config: BenchConfig, console: Console) -> dict[str, Any]:
 
     Args:
         config: What to time.
-        console: Where to show it.
+        listener: Hears of progress, tables and the verdict.
 
     Returns:
         What was measured, plain JSON values; times in seconds.
@@ -99,14 +95,14 @@ def run_bench(config: BenchConfig, console: Console) -> dict[str, Any]:
     """
     if config.json is not None:
         prepare_file(config.json)
-    config.scenario.make_controller()
+    config.scenario.make_controller(config.controller)
     with tempfile.TemporaryDirectory(prefix="triform-bench-") as name:
         folder = Path(name)
-        with console.status("recording scans of a simulated team"):
+        with listener.progress("recording scans of a simulated team", 1):
             save_moments(folder / "scans.npz", single_views(record_views(config.scenario, config.seed)))
-        with console.status("starting without compiled kernels"):
+        with listener.progress("starting without compiled kernels", 1):
             compiled = _measure(config, folder, 0.0)
-        with console.status(f"taking steps for {config.seconds:g} s"):
+        with listener.progress(f"taking steps for {config.seconds:g} s", 1):
             found = _measure(config, folder, config.seconds)
     verdict, keeps_up = judge(found["seconds"]["cold"], config.rate)
     result = {
@@ -116,16 +112,16 @@ def run_bench(config: BenchConfig, console: Console) -> dict[str, Any]:
         **found,
         "keeps_up": keeps_up,
     }
-    _show(result, verdict, console)
+    _show(result, verdict, listener)
     if config.json is not None:
         write_json(config.json, result)
-        console.print(f"wrote {config.json}", soft_wrap=True)
+        listener.say(f"wrote {config.json}")
     return result
 
 
 def _measure(config: BenchConfig, folder: Path, seconds: float) -> dict[str, Any]:
     """Let another process do the steps; its kernels are kept in ``folder``."""
-    job = Job(time.monotonic(), config.weights, config.distance, seconds)
+    job = Job(time.monotonic(), config.controller.weights, config.distance, seconds)
     command = [
         sys.executable,
         "-m",
@@ -199,15 +195,15 @@ def _version(package: str) -> str:
         return "not installed"
 
 
-def _show(result: dict[str, Any], verdict: list[str], console: Console) -> None:
+def _show(result: dict[str, Any], verdict: list[str], listener: Listener) -> None:
     machine, steps = result["machine"], result["steps"]
     versions = ", ".join(f"{name} {found}" for name, found in machine["packages"].items())
-    console.print(f"{machine['processor']}, {machine['architecture']}, one thread; {versions}", soft_wrap=True)
+    listener.say(f"{machine['processor']}, {machine['architecture']}, one thread; {versions}")
     starts = [
         [what, f"{result['start_compiling'][name]:.2f}", f"{result['start'][name]:.2f}"]
         for name, what in _STARTS.items()
     ]
-    console.print(rich_table("start, in s", ["", "kernels compiled", "kernels kept"], starts))
+    listener.table("start, in s", ["", "kernels compiled", "kernels kept"], starts)
     rows = []
     for caches in ("warm", "cold"):
         for name, seconds in result["seconds"][caches].items():
@@ -215,7 +211,7 @@ def _show(result: dict[str, Any], verdict: list[str], console: Console) -> None:
                 [caches, _STAGES[name], *(f"{1e3 * seconds[key]:.3f}" for key in ("median", "p95", "p99", "max"))]
             )
     title = f"time, in ms: {steps['warm']} steps one after the other, {steps['cold']} with cold caches"
-    console.print(rich_table(title, ["caches", "stage", "50 %", "95 %", "99 %", "max"], rows))
-    console.print(f"peak memory {result['peak_memory'] / 2**20:.0f} MiB", soft_wrap=True)
+    listener.table(title, ["caches", "stage", "50 %", "95 %", "99 %", "max"], rows)
+    listener.say(f"peak memory {result['peak_memory'] / 2**20:.0f} MiB")
     for sentence in verdict:
-        console.print(sentence, style="green" if result["keeps_up"] else "bold red", soft_wrap=True, highlight=False)
+        listener.say(sentence)

@@ -1,6 +1,6 @@
 """One robot's way from scan to command in a process of its own, as on the robot: its start, its stages, its memory.
 
-``triform bench --robot`` runs ``python -m triform.timing.robot_step SCANS JOB``, which prints JSON.
+``triform bench`` runs ``python -m triform.timing.robot_step SCANS JOB``, which prints JSON.
 """
 
 from __future__ import annotations

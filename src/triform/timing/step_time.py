@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from triform.control import EXPERTS, Triangulating, TriangulatingLaw, drive, weights_folder
-from triform.evaluation.scenario import Scenario, world_seeds
-from triform.experiments.reproduce_config import Contestant
+from triform.control import EXPERTS, ControllerSpec, Triangulating, TriangulatingLaw, drive, weights_folder
+from triform.evaluation.runs import world_seeds
+from triform.evaluation.scenario import Scenario
 from triform.policy.checkpoint import WEIGHTS_FILE
 from triform.threads import limit_threads
 from triform.types import Controller, FloatArray, PrivilegedView, Scan, TriformError
@@ -30,7 +30,7 @@ _TURNS = 8
 
 def record_views(scenario: Scenario, seed: int) -> list[PrivilegedView]:
     """Return what a team of seven sees while it forms a triangulation, at moments 5 control periods apart."""
-    world = scenario.make_world(scenario.draw_starts(TEAM, 1, seed), world_seeds(TEAM, seed, [0]))
+    world = scenario.make_world(scenario.sample_starts(TEAM, 1, seed), world_seeds(TEAM, seed, [0]))
     seen: list[PrivilegedView] = []
 
     def look(view: PrivilegedView, _: FloatArray) -> None:
@@ -106,15 +106,15 @@ def count_parameters(folder: Path) -> int:
         raise TriformError(f"cannot read the weights {path}: {error}") from error
 
 
-def network_size(contestant: Contestant) -> int | None:
+def network_size(controller: ControllerSpec) -> int | None:
     """Return the parameters of a controller's network; ``None`` if it has none.
 
     Raises:
         TriformError: If its weights cannot be read.
     """
-    if contestant.weights is None:
+    if controller.resolved.weights is None:
         return None
-    return count_parameters(weights_folder(contestant.weights, contestant.controller))
+    return count_parameters(weights_folder(controller.weights, controller.name))
 
 
 def what_it_sees(controller: str) -> str:
@@ -122,10 +122,10 @@ def what_it_sees(controller: str) -> str:
     sight = f"{TriangulatingLaw().sight:g} d*"
     seen = {
         "policy": "own scan and odometry",
-        "gnn": f"poses within {sight}, also of hidden robots, and messages",
-        "triangulating": f"poses within {sight} that nobody hides",
-        "scan-pipeline": "own scan; is told the footprint",
-        "scan-triangulating": "own scan; is told the footprint",
+        "gnn": f"poses within {sight}, hidden robots too, and messages",
+        "triangulating": f"poses within {sight} in line of sight",
+        "scan-pipeline": "own scan; knows the footprint",
+        "scan-triangulating": "own scan; knows the footprint",
     }
     for name, variant in EXPERTS.items():
         everybody = np.isinf(variant.sensing_range)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from triform.robots.gazebo.installation import Installation, find_gazebo
-from triform.robots.gazebo.sdf import Base, braked, write_world
+from triform.robots.gazebo.sdf import GazeboBase, braked, write_world
 from triform.robots.gazebo.server import GazeboError, GazeboServer, State
 from triform.robots.gazebo.team import GazeboTeam
 
 __all__ = [
-    "Base",
+    "GazeboBase",
     "GazeboError",
     "GazeboServer",
     "GazeboTeam",

@@ -13,7 +13,7 @@ from triform.simulation.profiles import Drive, Footprint, Profile
 from triform.types import require
 
 #: How a base moves: a force in the plane, or four mecanum wheels.
-Base = Literal["planar", "mecanum"]
+GazeboBase = Literal["planar", "mecanum"]
 
 #: RoboMaster EP: mass of the whole robot [kg] and height [m].
 MASS = 3.4
@@ -43,7 +43,7 @@ def braked(drive: Drive) -> Drive:
     )
 
 
-def write_world(profile: Profile, arena: Arena, robots: int, base: Base, time_step: float, plugin: str) -> str:
+def write_world(profile: Profile, arena: Arena, robots: int, base: GazeboBase, time_step: float, plugin: str) -> str:
     """Return an SDF world with a ground, an arena and robots that wait to be placed.
 
     Args:
@@ -140,7 +140,7 @@ def _add_obstacle(world: Element, name: str, place: tuple[float, float, float], 
     _add_collision(link, shape, 0.0, _BODY, (0.0, 0.0))
 
 
-def _add_robot(world: Element, index: int, footprint: Footprint, base: Base) -> None:
+def _add_robot(world: Element, index: int, footprint: Footprint, base: GazeboBase) -> None:
     """Append a robot, far below the ground until it is placed."""
     model = SubElement(world, "model", name=f"robot{index}")
     _pose(model, 0.0, 0.0, -100.0 * (index + 1))

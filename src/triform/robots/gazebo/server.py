@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from triform.robots.gazebo.installation import Installation, find_gazebo
-from triform.robots.gazebo.sdf import Base, write_world
+from triform.robots.gazebo.sdf import GazeboBase, write_world
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import limit_twists
 from triform.simulation.profiles import Profile
@@ -83,7 +83,7 @@ class GazeboServer:
         arena: Arena,
         robots: int,
         *,
-        drive: Base = "planar",
+        drive: GazeboBase = "planar",
         time_step: float = 0.01,
         spare: int = 0,
         timeout: float = 30.0,

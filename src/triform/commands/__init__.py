@@ -1,0 +1,1 @@
+"""Commands: one file for each, with its options; everything below knows no terminal."""

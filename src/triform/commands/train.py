@@ -1,0 +1,92 @@
+"""``triform train``: a policy, trained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+
+from triform.commands.terminal import given_options, maps_progress
+from triform.types import ConfigurationError
+
+
+@dataclass(frozen=True)
+class Train:
+    """Options of ``triform train``.
+
+    Attributes:
+        out: Folder for state, logs and the best and last policy.
+        preset: ``default`` learns the triangulating law, and ``cnn``, ``gnn`` and ``dense`` do so with other networks;
+            ``springs`` learns an expert of springs, ``large`` so with the paper's network, and ``paper`` is Algorithm 1
+            as printed, which needs ``--data``.
+        data: Stored demonstrations; fresh ones are drawn if omitted.
+        maps: Maps to train on. The preset's if omitted.
+        teacher: Who labels: ``expert``, ``expert-sensed`` or ``expert-odd``. The data set's or the
+            preset's if omitted.
+        rounds: Shares of the training after which the learner itself drives teams. The preset's if omitted.
+        learning_rate: Peak learning rate. The preset's if omitted.
+        seed: Seed of weights and data. The preset's if omitted.
+        precision: Arithmetic of matrix products: ``float32``, ``medium`` (whichever float32 PyTorch computes fastest)
+            or ``bfloat16``. The preset's if omitted.
+        device: PyTorch device, such as ``cpu`` or ``cuda``.
+        threads: Threads of PyTorch on the CPU.
+        producers: Threads that make mini-batches ahead of time; one on the CPU and four for a GPU if omitted.
+        resume: Continue the run in ``out`` exactly where it stopped.
+    """
+
+    out: Path
+    preset: Literal["default", "springs", "large", "paper", "cnn", "gnn", "dense"] = "default"
+    data: Path | None = None
+    maps: int | None = None
+    teacher: str | None = None
+    rounds: tuple[float, ...] | None = None
+    learning_rate: float | None = None
+    seed: int | None = None
+    precision: Literal["float32", "medium", "bfloat16"] | None = None
+    device: str = "cpu"
+    threads: int = 1
+    producers: int | None = None
+    resume: bool = False
+
+    def run(self, console: Console) -> None:
+        """Train, with progress, which only the first of several processes shows."""
+        import torch
+
+        from triform.dataset import load_manifest
+        from triform.training import get_preset, train
+        from triform.training.processes import launched
+
+        if not launched().first:
+            console = Console(quiet=True)
+        if self.threads < 1:
+            raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
+        torch.set_num_threads(self.threads)
+        preset, given = (
+            get_preset(self.preset),
+            given_options(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision"),
+        )
+        if self.data is not None and self.teacher is None and preset.scenes is None:
+            given["teacher"] = load_manifest(self.data).config.teacher
+        config = replace(preset, **given)
+        with maps_progress(console) as update:
+            best = train(
+                config,
+                self.out,
+                data=self.data,
+                resume=self.resume,
+                device=self.device,
+                producers=self.producers,
+                report=lambda at: update(
+                    completed=at.step,
+                    total=at.steps,
+                    rate=at.maps_per_second,
+                    description=f"training, loss {at.loss:.4f}",
+                ),
+            )
+        console.print(
+            f"best policy: {best}; to use it:\ntriform export {best}\ntriform evaluate --weights {best}",
+            soft_wrap=True,
+            markup=False,
+        )
