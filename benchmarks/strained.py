@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 
-from triform.evaluation.scenario import Scenario, world_seeds
+from triform.evaluation.scenario import Scenario
 from triform.geometry import gabriel_graph
 from triform.simulation import sample_starts
 from triform.types import BoolArray, FloatArray
@@ -40,9 +40,9 @@ def has_misfit(graph: BoolArray, positions: FloatArray) -> bool:
 
 def main() -> None:
     """Print the table."""
-    scenario = Scenario(controller="policy", threads=1)
+    scenario = Scenario()
     poses = sample_starts(ROBOTS, RUNS, SEED)
-    trajectory, table = scenario.run(poses, world_seeds(ROBOTS, SEED, range(RUNS)))
+    trajectory, table = scenario.run(poses, seed=SEED)
     errors = table["formation_error"]
     ends = trajectory.poses[:, -1, :, :2]
     graphs = gabriel_graph(ends)

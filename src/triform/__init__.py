@@ -1,35 +1,65 @@
 """Teams of robots that form a triangulation, each seeing only its own 2-D LiDAR."""
 
-import hashlib
-import os
-from importlib.metadata import version
-from pathlib import Path
+from __future__ import annotations
 
-__version__ = version("triform")
+import importlib
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from triform.control import SafetyFilter, drive, make_controller
+    from triform.evaluation.metrics import measure, summarise
+    from triform.evaluation.rollout import rollout
+    from triform.evaluation.scenario import Scenario
+    from triform.experiments.evaluate import evaluate
+    from triform.simulation import Arena, Profile, World, make_world
+    from triform.types import Controller, PrivilegedView, Scan, ScanConfig, Team, TriformError, View
+
+__all__ = [
+    "Arena",
+    "Controller",
+    "PrivilegedView",
+    "Profile",
+    "SafetyFilter",
+    "Scan",
+    "ScanConfig",
+    "Scenario",
+    "Team",
+    "TriformError",
+    "View",
+    "World",
+    "drive",
+    "evaluate",
+    "make_controller",
+    "make_world",
+    "measure",
+    "rollout",
+    "summarise",
+]
+
+#: Module of every public name; each is imported when it is first asked for.
+_MODULES = {
+    "triform.types": ("Controller", "PrivilegedView", "Scan", "ScanConfig", "Team", "TriformError", "View"),
+    "triform.control": ("SafetyFilter", "drive", "make_controller"),
+    "triform.simulation": ("Arena", "Profile", "World", "make_world"),
+    "triform.evaluation": ("Scenario", "measure", "rollout", "summarise"),
+    "triform.experiments.evaluate": ("evaluate",),
+}
+
+try:
+    __version__ = version("triform")
+except PackageNotFoundError:
+    __version__ = "0+unknown"
 
 
-def _keep_compiled_kernels_apart() -> None:
-    """Let Numba keep the compiled kernels of each state of the sources in a folder of its own.
-
-    Numba notices when the file of a cached kernel changes, but not when a kernel that it calls from another file
-    does; an update could then run old code. A folder named after all kernels' sources rules that out. A folder
-    that the user chose (``NUMBA_CACHE_DIR``) is left alone, and where none can be made Numba keeps its default.
-    """
-    if "NUMBA_CACHE_DIR" in os.environ:
-        return
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        source = path.read_bytes()
-        if b"@njit" in source:
-            digest.update(path.name.encode() + source)
-    try:
-        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = Path(home) / "triform" / digest.hexdigest()[:16]
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        return
-    if os.access(folder, os.W_OK):
-        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+def __getattr__(name: str) -> Any:
+    for module, names in _MODULES.items():
+        if name in names:
+            value = getattr(importlib.import_module(module), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module 'triform' has no attribute {name!r}")
 
 
-_keep_compiled_kernels_apart()
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

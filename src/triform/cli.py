@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import tyro
@@ -94,13 +92,6 @@ def _unknown(name: str) -> str:
     return f"there is no command {name!r}" + (f"; did you mean {near[0]!r}?" if near else "")
 
 
-def _kernels_missing() -> bool:
-    """Whether Numba's folder of compiled kernels, if it is known, has none yet."""
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    # Numba makes folders as soon as kernels are imported, and an index with the first one that it compiles.
-    return folder is not None and not any(Path(folder).rglob("*.nbi"))
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status: 0 done, 1 it could not be done, 2 wrong usage."""
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -126,7 +117,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             config=CONFIG,
             registry=registry,
         )
-        if _kernels_missing():
+        from triform.kernels import are_kernels_kept
+
+        if not are_kernels_kept():
             sys.stderr.write("compiling kernels, once after an installation: about a minute\n")
         chosen.run(Console())
     except TriformError as error:

@@ -12,11 +12,13 @@ A *pose* is ``(x, y, heading)`` in the world frame [m, m, rad]; a *body twist*, 
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -32,6 +34,9 @@ SENSING_RANGE = 2.0
 NOISE_PERIOD = 0.5
 
 
+Value = TypeVar("Value")
+
+
 class TriformError(Exception):
     """Something the user gave or the machine did is wrong; the message says what in one sentence."""
 
@@ -44,6 +49,31 @@ def require(condition: bool, message: str) -> None:
     """Refuse a configuration: raise ``ConfigurationError(message)`` unless ``condition`` holds."""
     if not condition:
         raise ConfigurationError(message)
+
+
+def choose(kind: str, name: str, table: Mapping[str, Value], otherwise: str = "") -> Value:
+    """Return the value called ``name``.
+
+    Args:
+        kind: What is looked up, such as profile.
+        name: Its name.
+        table: Values by name.
+        otherwise: What else would be accepted, such as a TOML file.
+
+    Raises:
+        ConfigurationError: There is none of that name; the sentence says which there are.
+    """
+    if name in table:
+        return table[name]
+    raise ConfigurationError(
+        f"there is no {kind} {name!r}{nearest(name, table)}; there are {', '.join(table)}{otherwise}"
+    )
+
+
+def nearest(name: str, known: Collection[str]) -> str:
+    """Return a question for the nearest known name; empty if none is near."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 @dataclass(frozen=True)
@@ -157,6 +187,31 @@ class View:
     time: float
     noise: FloatArray | None = field(default=None, kw_only=True)
     odometry: FloatArray | None = field(default=None, kw_only=True)
+
+    @classmethod
+    def of_scan(cls, ranges: ArrayLike, config: ScanConfig | None = None, time: float = 0.0) -> View:
+        """Return the view of robots that have nothing but a scan.
+
+        Args:
+            ranges: Ranges [m] of one robot, shape (R,), of a team, (N, R), or of teams, (B, N, R); REP 117 for what is
+                no range.
+            config: Angles and limits of the scan; a full turn from -pi counter-clockwise up to 2 m if omitted.
+            time: Time since the start of the run [s].
+
+        Raises:
+            ConfigurationError: The ranges are no numbers, or of another shape.
+        """
+        try:
+            given = np.asarray(ranges, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ConfigurationError("the ranges of a scan are no array of numbers") from None
+        require(
+            1 <= given.ndim <= 3 and given.size > 0,
+            f"ranges of shape {given.shape} given; (R,), (N, R) or (B, N, R) is needed, with at least one ray",
+        )
+        batch = given.reshape((1,) * (3 - given.ndim) + given.shape)
+        scans = Scan(batch, ScanConfig(rays=batch.shape[-1]) if config is None else config)
+        return cls(scans, np.ones(batch.shape[:2], dtype=np.bool_), time)
 
     def __post_init__(self) -> None:
         if self.active.ndim != 2 or self.scans.ranges.shape[:-1] != self.active.shape:

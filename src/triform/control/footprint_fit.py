@@ -8,9 +8,9 @@ Gauss-Newton on the same residuals.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from triform.control.footprint_geometry import mean_depth, mean_half_width, pose_cost, surface_residual
+from triform.kernels import kernel
 
 #: Headings tried per half turn.
 HEADINGS = 18
@@ -28,8 +28,8 @@ EDGE_WEIGHT_INSIDE = 0.1
 EDGE_WEIGHT_BEYOND = 1.0
 
 
-@njit(cache=True, nogil=True)
-def _accumulate(normal, gradient, residual, j_x, j_y, j_t, weight):  # type: ignore[no-untyped-def]
+@kernel
+def _accumulate(normal, gradient, residual, j_x, j_y, j_t, weight):
     """Add one weighted residual with Jacobian (j_x, j_y, j_t) to the normal equations."""
     normal[0, 0] += weight * j_x * j_x
     normal[0, 1] += weight * j_x * j_y
@@ -42,8 +42,8 @@ def _accumulate(normal, gradient, residual, j_x, j_y, j_t, weight):  # type: ign
     gradient[2] += weight * residual * j_t
 
 
-@njit(cache=True, nogil=True)
-def _solve_symmetric(normal, gradient, step):  # type: ignore[no-untyped-def]
+@kernel
+def _solve_symmetric(normal, gradient, step):
     """Solve the positive definite 3 x 3 system (upper triangle given) for ``step`` by elimination."""
     m00, m01, m02 = normal[0, 0], normal[0, 1], normal[0, 2]
     factor1, factor2 = m01 / m00, m02 / m00
@@ -58,8 +58,8 @@ def _solve_symmetric(normal, gradient, step):  # type: ignore[no-untyped-def]
     step[0] = (gradient[0] - m01 * step[1] - m02 * step[2]) / m00
 
 
-@njit(cache=True, nogil=True)
-def improve_pose(points, count, edges, pose, footprint, steps):  # type: ignore[no-untyped-def]
+@kernel
+def improve_pose(points, count, edges, pose, footprint, steps):
     """Improve a pose in place by damped Gauss-Newton steps.
 
     Residuals are the heights of the points over the visible sides (Cauchy weights), their excess beyond a side's
@@ -124,8 +124,8 @@ def improve_pose(points, count, edges, pose, footprint, steps):  # type: ignore[
         pose[2] -= scale * step[2] / ARM
 
 
-@njit(cache=True, nogil=True)
-def push_centroid(points, count, edges, footprint, pose):  # type: ignore[no-untyped-def]
+@kernel
+def push_centroid(points, count, edges, footprint, pose):
     """Guess a pose from too few points: the seen surface, pushed outward by the mean depth.
 
     If only one edge of the silhouette is free, the footprint reaches from there towards the hidden side by its
@@ -144,8 +144,8 @@ def push_centroid(points, count, edges, footprint, pose):  # type: ignore[no-unt
     pose[0], pose[1], pose[2] = x * scale, y * scale, 0.0
 
 
-@njit(cache=True, nogil=True)
-def _placements(low, high, low_free, high_free, half, out):  # type: ignore[no-untyped-def]
+@kernel
+def _placements(low, high, low_free, high_free, half, out):
     """Write up to two centre coordinates of a span of half size ``half`` that holds points in [low, high].
 
     The observer is at zero. Points all on one side of it start at the near side, unless that end is hidden: then
@@ -166,8 +166,8 @@ def _placements(low, high, low_free, high_free, half, out):  # type: ignore[no-u
     return 1
 
 
-@njit(cache=True, nogil=True)
-def _keep_best(cost, pose, best_costs, best_poses):  # type: ignore[no-untyped-def]
+@kernel
+def _keep_best(cost, pose, best_costs, best_poses):
     """Insert a pose into the sorted list of the best ones."""
     slot = best_costs.shape[0]
     while slot > 0 and cost < best_costs[slot - 1]:
@@ -181,8 +181,8 @@ def _keep_best(cost, pose, best_costs, best_poses):  # type: ignore[no-untyped-d
     best_poses[slot] = pose
 
 
-@njit(cache=True, nogil=True)
-def _search_headings(points, count, edges, footprint, sight, costs, poses):  # type: ignore[no-untyped-def]
+@kernel
+def _search_headings(points, count, edges, footprint, sight, costs, poses):
     """Fill ``costs`` and ``poses`` with the best placements over a grid of headings."""
     a, b, _ = footprint
     first_free, last_free = not np.isnan(edges[0, 0]), not np.isnan(edges[1, 0])
@@ -213,8 +213,8 @@ def _search_headings(points, count, edges, footprint, sight, costs, poses):  # t
                 _keep_best(cost, pose, costs, poses)
 
 
-@njit(cache=True, nogil=True)
-def fit_footprint(points, count, edges, footprint, sight, pose):  # type: ignore[no-untyped-def]
+@kernel
+def fit_footprint(points, count, edges, footprint, sight, pose):
     """Fit the footprint to the points of one robot.
 
     Args:

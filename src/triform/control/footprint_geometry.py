@@ -13,7 +13,8 @@ Everything is in the observer's frame: the LiDAR is the origin.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 #: A point or ray that disagrees by more than this counts as an outlier and costs no more [m].
 OUTLIER = 0.06
@@ -21,8 +22,8 @@ OUTLIER = 0.06
 DEPTH_SLACK = 0.02
 
 
-@njit(cache=True, nogil=True)
-def surface_residual(x, y, pose, cosine, sine, a, b, round_):  # type: ignore[no-untyped-def]
+@kernel
+def surface_residual(x, y, pose, cosine, sine, a, b, round_):
     """Where a point lies relative to the nearest visible side.
 
     Returns:
@@ -50,8 +51,8 @@ def surface_residual(x, y, pose, cosine, sine, a, b, round_):  # type: ignore[no
     return height_v, 0.0, side_v, beyond_v, 1.0 if u > 0 else -1.0, 0.0, u, v
 
 
-@njit(cache=True, nogil=True)
-def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):  # type: ignore[no-untyped-def]
+@kernel
+def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):
     """Ranges at which a ray from the origin enters and leaves the footprint; entry ``inf`` if it misses."""
     if round_:
         along = direction_x * pose[0] + direction_y * pose[1]
@@ -78,8 +79,8 @@ def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):  #
     return entry, leave
 
 
-@njit(cache=True, nogil=True)
-def pose_cost(points, count, pose, footprint, sight):  # type: ignore[no-untyped-def]
+@kernel
+def pose_cost(points, count, pose, footprint, sight):
     """Sum of squared disagreements of a pose with points and rays [m^2], each at most ``OUTLIER`` squared.
 
     Every point should lie on a side that the observer can see, and no ray that went farther should pass through the
@@ -124,8 +125,8 @@ def pose_cost(points, count, pose, footprint, sight):  # type: ignore[no-untyped
     return cost
 
 
-@njit(cache=True, nogil=True)
-def mean_depth(a, b, round_):  # type: ignore[no-untyped-def]
+@kernel
+def mean_depth(a, b, round_):
     """How far the centre lies behind the seen surface, averaged over headings and rays [m].
 
     Half the mean chord of a convex shape, which is pi * area / perimeter (Cauchy, Crofton).
@@ -135,8 +136,8 @@ def mean_depth(a, b, round_):  # type: ignore[no-untyped-def]
     return np.pi * a * b / (2.0 * (a + b))
 
 
-@njit(cache=True, nogil=True)
-def mean_half_width(a, b, round_):  # type: ignore[no-untyped-def]
+@kernel
+def mean_half_width(a, b, round_):
     """Half the width of the silhouette, averaged over headings [m]: perimeter / (2 pi) (Cauchy)."""
     if round_:
         return a

@@ -69,6 +69,10 @@ class LearnedPolicy:
         self._scan: ScanConfig | None = None
         self._packer: ScanPacker | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the packer with its workspaces, which the first scan brings back."""
+        return self.__dict__ | {"_packer": None, "_scan": None}
+
     @property
     def description(self) -> dict[str, Any]:
         """Name, weights and network of the policy."""

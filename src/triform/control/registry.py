@@ -13,11 +13,13 @@ from triform.control.gnn import GnnController
 from triform.control.learned import LearnedPolicy
 from triform.control.scan_pipeline import ScanPipeline
 from triform.control.triangulating import Triangulating
+from triform.control.user import UserController, installed_controllers, load_class
 from triform.policy import GnnRuntime, PolicyRuntime
-from triform.types import ConfigurationError, Controller
+from triform.types import ConfigurationError, Controller, choose, require
 
 CONTROLLERS = ("policy", *EXPERTS, "triangulating", "scan-pipeline", "scan-triangulating", "gnn")
 DEFAULT_WEIGHTS = "default"
+_OR_YOURS = ", FILE.py:CLASS and MODULE:CLASS"
 #: Controllers with weights, and those that each takes if none are named.
 WITH_WEIGHTS = {"policy": DEFAULT_WEIGHTS, "gnn": "gnn"}
 
@@ -27,18 +29,37 @@ class ControllerSpec:
     """A controller by name.
 
     Attributes:
-        name: One of ``CONTROLLERS``.
+        name: One of ``CONTROLLERS``, a class as ``FILE.py:CLASS`` or ``MODULE:CLASS``, or an entry point of the group
+            ``triform.controllers``.
         weights: Weights of ``policy`` or ``gnn``: a shipped policy's name or a folder; the default one if ``None``.
     """
 
     name: str = "policy"
     weights: str | None = None
 
+    def __post_init__(self) -> None:
+        name, weights = self.name, self.weights
+        known = name in CONTROLLERS or ":" in name or name in installed_controllers()
+        if not known:
+            # The sentence names all that there are.
+            choose("controller", name, dict.fromkeys((*CONTROLLERS, *installed_controllers())), _OR_YOURS)
+        require(
+            weights is None or name in WITH_WEIGHTS,
+            f"the controller {name!r} has no weights; they belong to {' and '.join(WITH_WEIGHTS)}",
+        )
+
     @classmethod
     def parse(cls, text: str) -> ControllerSpec:
-        """Read ``NAME`` or ``NAME:WEIGHTS``."""
-        name, _, weights = text.partition(":")
-        return cls(name, weights or None)
+        """Read ``NAME``, ``policy:WEIGHTS``, ``gnn:WEIGHTS``, ``FILE.py:CLASS`` or ``MODULE:CLASS``.
+
+        Raises:
+            ConfigurationError: There is no such controller.
+        """
+        name, colon, rest = text.partition(":")
+        if not colon or name in CONTROLLERS:
+            require(not colon or rest != "", f"the controller {text!r} names no weights after the colon")
+            return cls(name, rest or None)
+        return cls(text)
 
     @property
     def label(self) -> str:
@@ -96,9 +117,7 @@ def make_controller(
     spec = ControllerSpec.parse(controller) if isinstance(controller, str) else controller
     name, weights = spec.name, spec.weights
     if name not in CONTROLLERS:
-        raise ConfigurationError(f"there is no controller {name!r}; there are {', '.join(CONTROLLERS)}")
-    if weights is not None and name not in WITH_WEIGHTS:
-        raise ConfigurationError(f"the controller {name!r} has no weights; they belong to {' and '.join(WITH_WEIGHTS)}")
+        return UserController(_user_class(name), name, {"distance": distance, "footprint": footprint})
     if name == "policy":
         return LearnedPolicy(PolicyRuntime(weights_folder(weights), threads), distance)
     if name == "gnn":
@@ -115,3 +134,12 @@ def make_controller(
 def _blocking_radius(footprint: tuple[float, float] | float) -> float:
     """Radius of the disc for which a robot of this outline blocks sight [m]: half its mean width."""
     return sum(footprint) / 4 if isinstance(footprint, tuple) else footprint / 2
+
+
+def _user_class(name: str) -> type[Any]:
+    """Load the class of a user's controller: ``FILE.py:CLASS``, ``MODULE:CLASS`` or an entry point."""
+    if ":" in name:
+        where, _, own = name.rpartition(":")
+        return load_class(where, own)
+    point = installed_controllers()[name]
+    return load_class(point.module, point.attr)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 #: Sine of the angle below which two lines count as parallel.
 _PARALLEL = 1e-9
 
 
-@njit(cache=True, nogil=True)
-def gap_along(distance, cos, sin, body):  # type: ignore[no-untyped-def]
+@kernel
+def gap_along(distance, cos, sin, body):
     """Gap between a robot's own outline and a return.
 
     Args:
@@ -39,8 +40,8 @@ def gap_along(distance, cos, sin, body):  # type: ignore[no-untyped-def]
     return gap, sign_x * out_x / gap, sign_y * out_y / gap
 
 
-@njit(cache=True, nogil=True)
-def nearest_allowed(u_x, u_y, planes, count):  # type: ignore[no-untyped-def]
+@kernel
+def nearest_allowed(u_x, u_y, planes, count):
     """The velocity nearest to a wanted one within half-planes that all hold the origin.
 
     Planes are added one by one. If one forbids the best velocity so far, the best one now lies on its line, at the
@@ -81,16 +82,16 @@ def nearest_allowed(u_x, u_y, planes, count):  # type: ignore[no-untyped-def]
     return x, y
 
 
-@njit(cache=True, nogil=True)
-def _measured(value, range_min, range_max):  # type: ignore[no-untyped-def]
+@kernel
+def _measured(value, range_min, range_max):
     """Range of a ray [m]: ``-inf`` is ``range_min``; no return and no measurement are ``inf``."""
     if 0.0 < value <= range_max:
         return value
     return range_min if value == -np.inf else np.inf
 
 
-@njit(cache=True, nogil=True)
-def _confirmed(ranges, k, range_min, range_max):  # type: ignore[no-untyped-def]
+@kernel
+def _confirmed(ranges, k, range_min, range_max):
     """Median range of a ray and its two neighbours [m]: what a single ray shows is not believed."""
     total = ranges.shape[0]
     left = _measured(ranges[k - 1], range_min, range_max)
@@ -99,8 +100,8 @@ def _confirmed(ranges, k, range_min, range_max):  # type: ignore[no-untyped-def]
     return max(min(left, own), min(max(left, own), right))
 
 
-@njit(cache=True, nogil=True)
-def _driven(u_x, u_y, limits):  # type: ignore[no-untyped-def]
+@kernel
+def _driven(u_x, u_y, limits):
     """What the drive makes of a velocity: shortened to a largest speed, then each axis clipped [m/s]."""
     max_speed, max_axis_speed = limits
     speed = np.sqrt(u_x * u_x + u_y * u_y)
@@ -109,8 +110,8 @@ def _driven(u_x, u_y, limits):  # type: ignore[no-untyped-def]
     return min(max(u_x, -max_axis_speed), max_axis_speed), min(max(u_y, -max_axis_speed), max_axis_speed)
 
 
-@njit(cache=True, nogil=True)
-def _is_blind(ranges, early):  # type: ignore[no-untyped-def]
+@kernel
+def _is_blind(ranges, early):
     """Whether a scan tells nothing: it has no measurement, or, ``early`` in a run, no return."""
     for k in range(ranges.shape[0]):
         value = ranges[k]
@@ -119,8 +120,8 @@ def _is_blind(ranges, early):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
-def _find_planes(ranges, sight, body, law, speed, planes):  # type: ignore[no-untyped-def]
+@kernel
+def _find_planes(ranges, sight, body, law, speed, planes):
     """Write the half-planes that can forbid a velocity of norm ``speed``; return their number and the least gap [m]."""
     directions, range_min, range_max = sight
     rate, min_gap, circumradius = law
@@ -139,8 +140,8 @@ def _find_planes(ranges, sight, body, law, speed, planes):  # type: ignore[no-un
     return count, least
 
 
-@njit(cache=True, nogil=True)
-def guard_robots(ranges, active, sight, body, law, limits, early, commands, first, last):  # type: ignore[no-untyped-def]
+@kernel
+def guard_robots(ranges, active, sight, body, law, limits, early, commands, first, last):
     """Limit the commands of the robots ``first <= m < last`` in place.
 
     Args:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from triform.control import Teacher
 from triform.geometry import gabriel_into
+from triform.kernels import kernel
 from triform.types import FloatArray
 
 #: Columns: x, y [m], the robot's term of the expert's sum for unit gain (2) [m], whether it is a Gabriel neighbour and
@@ -14,8 +14,8 @@ from triform.types import FloatArray
 COLUMNS = 6
 
 
-@njit(cache=True, nogil=True)
-def neighbours_into(poses, graph, distance, odd_gain, out):  # type: ignore[no-untyped-def]
+@kernel
+def neighbours_into(poses, graph, distance, odd_gain, out):
     """Write the other robots of one record in each robot's body frame.
 
     Args:
@@ -47,8 +47,8 @@ def neighbours_into(poses, graph, distance, odd_gain, out):  # type: ignore[no-u
             slot += 1
 
 
-@njit(cache=True, nogil=True)
-def _neighbours(poses, sensing_range, distance, odd_gain, out):  # type: ignore[no-untyped-def]
+@kernel
+def _neighbours(poses, sensing_range, distance, odd_gain, out):
     robots = poses.shape[1]
     active = np.ones(robots, dtype=np.bool_)
     graph = np.empty((robots, robots), dtype=np.bool_)

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from triform.kernels import kernel
 from triform.types import FloatArray, IntArray, MapArray
 
 
-@njit(cache=True, nogil=True)
-def _gather(cells, offsets, sources, gathered_offsets, gathered):  # type: ignore[no-untyped-def]
+@kernel
+def _gather(cells, offsets, sources, gathered_offsets, gathered):
     for m in range(sources.shape[0]):
         begin = offsets[sources[m]]
         target = gathered_offsets[m]

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from triform.control.triangulating import TriangulatingLaw
@@ -23,6 +22,7 @@ from triform.dataset.scenes import (
     longest_team,
 )
 from triform.dataset.state_buffer import StateBuffer
+from triform.kernels import kernel
 from triform.policy import RadiusGraph, hear
 from triform.simulation.profiles import ROBOMASTER_EP
 from triform.types import BoolArray, FloatArray, IntArray
@@ -76,8 +76,8 @@ class TeamLabels:
     facts: FloatArray
 
 
-@njit(cache=True, nogil=True)
-def _draw_states(  # type: ignore[no-untyped-def]
+@kernel
+def _draw_states(
     rng, robots, visited, visited_offsets, placed, sizes, jitter, distances, usual, ep, poses, offsets, blocking
 ):
     """Fill ``poses``, ``offsets`` and ``blocking`` of ``TeamStates``; returns the number of teams.
@@ -102,10 +102,8 @@ def _draw_states(  # type: ignore[no-untyped-def]
     return teams
 
 
-@njit(cache=True, nogil=True)
-def _label_states(  # type: ignore[no-untyped-def]
-    poses, offsets, blocking, law, max_speed, receivers, senders, commands, terms, seen, facts
-):
+@kernel
+def _label_states(poses, offsets, blocking, law, max_speed, receivers, senders, commands, terms, seen, facts):
     """Fill ``commands``, ``terms``, ``seen`` and ``facts`` of ``TeamLabels``; other arguments as there."""
     longest = 1
     for t in range(blocking.shape[0]):

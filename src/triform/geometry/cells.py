@@ -16,7 +16,8 @@ is 0. It is itself a half of part ``parts[p, 3]``.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 #: Most robots in one cell, unless more stand in the same place.
 CELL_SIZE = 16
@@ -30,8 +31,8 @@ _BITS = 24
 _DIGIT = 8
 
 
-@njit(cache=True, nogil=True)
-def _spread_bits(value):  # type: ignore[no-untyped-def]
+@kernel
+def _spread_bits(value):
     """Put a zero before every bit of a number of ``_BITS`` bits."""
     value = (value | (value << np.uint64(16))) & np.uint64(0x0000FFFF0000FFFF)
     value = (value | (value << np.uint64(8))) & np.uint64(0x00FF00FF00FF00FF)
@@ -40,8 +41,8 @@ def _spread_bits(value):  # type: ignore[no-untyped-def]
     return (value | (value << np.uint64(1))) & np.uint64(0x5555555555555555)
 
 
-@njit(cache=True, nogil=True)
-def _sort_robots(positions, active):  # type: ignore[no-untyped-def]
+@kernel
+def _sort_robots(positions, active):
     """Active robots in the order of their keys, and the keys: which half, halving by halving (Morton order)."""
     low_x = low_y = np.inf
     high_x = high_y = -np.inf
@@ -86,8 +87,8 @@ def _sort_robots(positions, active):  # type: ignore[no-untyped-def]
     return robots, keys
 
 
-@njit(cache=True, nogil=True)
-def _middle(keys, first, last):  # type: ignore[no-untyped-def]
+@kernel
+def _middle(keys, first, last):
     """First slot of the upper half of a part whose keys are not all equal."""
     differ = keys[first] ^ keys[last - 1]
     # Spreads the highest bit in which the keys differ to all lower ones.
@@ -104,8 +105,8 @@ def _middle(keys, first, last):  # type: ignore[no-untyped-def]
     return high
 
 
-@njit(cache=True, nogil=True)
-def make_cells(positions, active):  # type: ignore[no-untyped-def]
+@kernel
+def make_cells(positions, active):
     """Sort the active robots of one world into cells.
 
     Args:
@@ -141,8 +142,8 @@ def make_cells(positions, active):  # type: ignore[no-untyped-def]
     return robots, places, parts, boxes
 
 
-@njit(cache=True, nogil=True)
-def list_cells(world):  # type: ignore[no-untyped-def]
+@kernel
+def list_cells(world):
     """Indices of the parts that are cells; all hold about as many robots, so a share of them is a share of the work."""
     parts = world[2]
     cells = np.empty(parts.shape[0], dtype=np.int64)
@@ -154,8 +155,8 @@ def list_cells(world):  # type: ignore[no-untyped-def]
     return cells[:number]
 
 
-@njit(cache=True, nogil=True)
-def _enclose(places, parts, part, boxes):  # type: ignore[no-untyped-def]
+@kernel
+def _enclose(places, parts, part, boxes):
     """Write the box around the robots of a part, whose halves have theirs."""
     low_x = low_y = np.inf
     high_x = high_y = -np.inf
@@ -170,16 +171,16 @@ def _enclose(places, parts, part, boxes):  # type: ignore[no-untyped-def]
     boxes[part, 0], boxes[part, 1], boxes[part, 2], boxes[part, 3] = low_x, low_y, high_x, high_y
 
 
-@njit(cache=True, nogil=True)
-def box_distance(boxes, part, x, y):  # type: ignore[no-untyped-def]
+@kernel
+def box_distance(boxes, part, x, y):
     """Squared distance from a point to a part's box [m^2]; never above that of a place in it, rounding included."""
     d_x = max(boxes[part, 0] - x, x - boxes[part, 2], 0.0)
     d_y = max(boxes[part, 1] - y, y - boxes[part, 3], 0.0)
     return d_x * d_x + d_y * d_y
 
 
-@njit(cache=True, nogil=True)
-def find_near(world, cell, limit, stack, near):  # type: ignore[no-untyped-def]
+@kernel
+def find_near(world, cell, limit, stack, near):
     """List the slots that a robot of a cell may have within a distance, and some farther ones.
 
     Args:
@@ -216,8 +217,8 @@ def find_near(world, cell, limit, stack, near):  # type: ignore[no-untyped-def]
     return number
 
 
-@njit(cache=True, nogil=True)
-def closest_pair(world, limit):  # type: ignore[no-untyped-def]
+@kernel
+def closest_pair(world, limit):
     """Squared distance of the two robots nearest to each other [m^2], or ``limit`` if that is smaller."""
     _, places, parts, _ = world
     stack, near = np.empty(SEARCH_DEPTH, dtype=np.int64), np.empty(places.shape[0], dtype=np.int64)
@@ -237,8 +238,8 @@ def closest_pair(world, limit):  # type: ignore[no-untyped-def]
     return limit
 
 
-@njit(cache=True, nogil=True)
-def smallest_distance_of(positions, active):  # type: ignore[no-untyped-def]
+@kernel
+def smallest_distance_of(positions, active):
     """Smallest distance between two active robots of one world [m]; ``inf`` without a pair.
 
     Args:
@@ -255,15 +256,15 @@ def smallest_distance_of(positions, active):  # type: ignore[no-untyped-def]
     return np.sqrt(smallest)
 
 
-@njit(cache=True, nogil=True)
-def squared_distance(places, slot, other):  # type: ignore[no-untyped-def]
+@kernel
+def squared_distance(places, slot, other):
     """Squared distance of two places, given by their rows [m^2]."""
     d_x, d_y = places[slot, 0] - places[other, 0], places[slot, 1] - places[other, 1]
     return d_x * d_x + d_y * d_y
 
 
-@njit(cache=True, nogil=True)
-def extended(values, size):  # type: ignore[no-untyped-def]
+@kernel
+def extended(values, size):
     """Return an array with the same rows at its front and room for at least ``size`` of them."""
     if size <= values.shape[0]:
         return values
@@ -272,8 +273,8 @@ def extended(values, size):  # type: ignore[no-untyped-def]
     return longer
 
 
-@njit(cache=True, nogil=True)
-def pairs_within(positions, active, limit):  # type: ignore[no-untyped-def]
+@kernel
+def pairs_within(positions, active, limit):
     """All pairs of active robots whose squared distance is at most ``limit`` [m^2].
 
     Args:

@@ -12,8 +12,8 @@ This is the only implementation; data, training and robots all call it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from triform.kernels import kernel
 from triform.threads import in_parts
 from triform.types import MapArray, MapConfig, Scan
 
@@ -25,8 +25,8 @@ _HIT = 4
 _SCANS_PER_THREAD = 300
 
 
-@njit(cache=True, nogil=True)
-def map_workspace(size):  # type: ignore[no-untyped-def]
+@kernel
+def map_workspace(size):
     """Make room for ``occupied_into`` and maps of ``size`` x ``size`` cells: grid, scratch and cells."""
     # A closed border spares every look at a neighbour the question whether it is on the map.
     grid = np.full((size + 2, size + 2), _CLOSED, dtype=np.uint8)
@@ -34,8 +34,8 @@ def map_workspace(size):  # type: ignore[no-untyped-def]
     return grid, np.empty((2, size * size), dtype=np.int32), np.empty(size * size, dtype=np.int32)
 
 
-@njit(cache=True, nogil=True)
-def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked):  # type: ignore[no-untyped-def]
+@kernel
+def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked):
     """Mark the 3 x 3 cells around every return on the flat ``grid``; list them in ``marked``; return how many."""
     half = size * cell / 2
     stride = size + 2
@@ -64,8 +64,8 @@ def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked
     return count
 
 
-@njit(cache=True, nogil=True)
-def _flood(grid, stride, start, queue):  # type: ignore[no-untyped-def]
+@kernel
+def _flood(grid, stride, start, queue):
     """Close the 4-connected group around cell ``start``, list it in ``queue`` and return its size."""
     grid[start] |= _CLOSED
     queue[0] = start
@@ -81,8 +81,8 @@ def _flood(grid, stride, start, queue):  # type: ignore[no-untyped-def]
     return tail
 
 
-@njit(cache=True, nogil=True)
-def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells):  # type: ignore[no-untyped-def]
+@kernel
+def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells):
     """List the occupied cells of one scan's map.
 
     Args:
@@ -123,8 +123,8 @@ def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells
     return kept
 
 
-@njit(cache=True, nogil=True)
-def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, first, last, out):  # type: ignore[no-untyped-def]
+@kernel
+def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, first, last, out):
     size = out.shape[1]
     grid, scratch, cells = map_workspace(size)
     at_rest = np.zeros(3)

@@ -9,11 +9,11 @@ import numpy as np
 from triform.policy.checkpoint import ONNX_FILE, PolicySpec, read_spec
 from triform.policy.config import GnnConfig
 from triform.policy.radius_graph import EDGE_FEATURES, RadiusGraph
-from triform.policy.runtime import open_session
+from triform.policy.runtime import StoredPolicy, open_session
 from triform.types import ConfigurationError, FloatArray, TriformError, require
 
 
-class GnnRuntime:
+class GnnRuntime(StoredPolicy):
     """A graph network that drives teams whose robots talk; may be called from several threads at once."""
 
     def __init__(self, folder: Path, threads: int = 1) -> None:
@@ -26,7 +26,7 @@ class GnnRuntime:
         Raises:
             TriformError: If the folder holds no exported policy, it cannot be loaded, or it is no graph network.
         """
-        self.folder = folder
+        super().__init__(folder, threads)
         self.spec: PolicySpec = read_spec(folder)
         if not isinstance(self.spec.network, GnnConfig):
             raise ConfigurationError(f"the policy in {folder} reads occupancy maps; a graph network is needed")

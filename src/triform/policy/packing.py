@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from triform.kernels import kernel
 from triform.types import ConfigurationError, IntArray, MapArray
 
 Keep = Literal["occupied", "all"]
@@ -29,8 +29,8 @@ class PackedMaps:
     counts: IntArray
 
 
-@njit(cache=True, nogil=True)
-def append_patches(cells, count, size, patch, keep_all, slots, patches, positions, token):  # type: ignore[no-untyped-def]
+@kernel
+def append_patches(cells, count, size, patch, keep_all, slots, patches, positions, token):
     """Append the patches of one map, given by its occupied cells, behind ``token`` patches.
 
     Args:
@@ -70,8 +70,8 @@ def append_patches(cells, count, size, patch, keep_all, slots, patches, position
     return token
 
 
-@njit(cache=True, nogil=True)
-def _pack(maps, patch, keep_all, slots, patches, positions, counts):  # type: ignore[no-untyped-def]
+@kernel
+def _pack(maps, patch, keep_all, slots, patches, positions, counts):
     size = maps.shape[1]
     cells = np.empty(size * size, dtype=np.int32)
     token = 0

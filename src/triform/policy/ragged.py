@@ -12,31 +12,32 @@ negative keeps the compiler from using vector instructions.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 # Sums may be taken in vectors only where nothing is written: loops that write are compiled twice, with vectors and, for
 # arrays that might overlap, without, and which one runs depends on where memory lies. Both must round alike.
 _SUMS = {"reassoc", "contract", "nsz"}
 
 
-@njit(cache=True, nogil=True, fastmath=_SUMS)
-def _sum(a, n):  # type: ignore[no-untyped-def]
+@kernel(fastmath=_SUMS)
+def _sum(a, n):
     total = np.float32(0.0)
     for j in range(n):
         total += a[j]
     return total
 
 
-@njit(cache=True, nogil=True, fastmath=_SUMS)
-def _dot(a, at, b, n):  # type: ignore[no-untyped-def]
+@kernel(fastmath=_SUMS)
+def _dot(a, at, b, n):
     total = np.float32(0.0)
     for j in range(n):
         total += a[at + j] * b[j]
     return total
 
 
-@njit(cache=True, nogil=True, fastmath=_SUMS)
-def _dots(a, row, head, b, rows, first, last, b_head, out):  # type: ignore[no-untyped-def]
+@kernel(fastmath=_SUMS)
+def _dots(a, row, head, b, rows, first, last, b_head, out):
     """``out[j] = a[row] . b[rows[first + j]]``, four at a time; writes up to three values too many."""
     for j in range(first, last, 4):
         r_0, r_1 = rows[j], rows[min(j + 1, last - 1)]
@@ -54,8 +55,8 @@ def _dots(a, row, head, b, rows, first, last, b_head, out):  # type: ignore[no-u
         out[j - first + 3] = s_3
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def _add(weights, b, rows, first, last, b_head, out, row, head):  # type: ignore[no-untyped-def]
+@kernel(fastmath={"contract"})
+def _add(weights, b, rows, first, last, b_head, out, row, head):
     """``out[row] += sum_j weights[j] b[rows[first + j]]``, four at a time; the weights end in three zeros."""
     for j in range(first, last, 4):
         r_0, r_1 = rows[j], rows[min(j + 1, last - 1)]
@@ -71,18 +72,16 @@ def _add(weights, b, rows, first, last, b_head, out, row, head):  # type: ignore
             out[row, head, d] = x
 
 
-@njit(cache=True, nogil=True)
-def _longest(first):  # type: ignore[no-untyped-def]
+@kernel
+def _longest(first):
     longest = 0
     for m in range(first.shape[0] - 1):
         longest = max(longest, first[m + 1] - first[m])
     return longest
 
 
-@njit(cache=True, nogil=True)
-def attend(  # type: ignore[no-untyped-def]
-    q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, out, weights
-):
+@kernel
+def attend(q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, out, weights):
     """Add ``softmax(scale q k^T) v`` to ``out`` (tokens, heads, width) and keep the softmax in ``weights``, flat."""
     s = np.zeros(_longest(k_first) + 3, dtype=q.dtype)
     at = 0
@@ -106,8 +105,8 @@ def attend(  # type: ignore[no-untyped-def]
                 _add(s, v, k_rows, first, last, v_head + h, out, q_rows[i], h)
 
 
-@njit(cache=True, nogil=True)
-def attend_backward(  # type: ignore[no-untyped-def]
+@kernel
+def attend_backward(
     q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, weights, grad, d_q, d_k, d_v
 ):
     """Add the gradients of ``attend`` to ``d_q``, ``d_k`` and ``d_v``, laid out like ``q``, ``k`` and ``v``."""

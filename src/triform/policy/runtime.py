@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
-from numba import njit
 
-from triform.policy.checkpoint import ONNX_FILE, PolicySpec, check_graph, read_spec, read_weights
+from triform.kernels import kernel
+from triform.policy.checkpoint import (
+    ONNX_FILE,
+    SPEC_FILE,
+    WEIGHTS_FILE,
+    PolicySpec,
+    check_graph,
+    read_spec,
+    read_weights,
+)
 from triform.policy.config import CnnConfig, NetworkConfig, map_network
 from triform.policy.packing import PackedMaps
 from triform.types import FloatArray, MapArray, TriformError, require
@@ -20,8 +31,8 @@ _TOKENS_AT_ONCE = 1024
 _MAPS_AT_ONCE = 16
 
 
-@njit(cache=True, nogil=True)
-def _sort_by_count(counts, begins, order, first):  # type: ignore[no-untyped-def]
+@kernel
+def _sort_by_count(counts, begins, order, first):
     """Sort maps by their number of patches, keeping their order where it is the same.
 
     Args:
@@ -46,8 +57,8 @@ def _sort_by_count(counts, begins, order, first):  # type: ignore[no-untyped-def
     begins[0] = 0
 
 
-@njit(cache=True, nogil=True)
-def _fill_rows(patches, positions, first, maps, tokens, places):  # type: ignore[no-untyped-def]
+@kernel
+def _fill_rows(patches, positions, first, maps, tokens, places):
     """Lay the patches of ``maps`` side by side, each map's behind an empty patch for its class token.
 
     Args:
@@ -68,8 +79,8 @@ def _fill_rows(patches, positions, first, maps, tokens, places):  # type: ignore
                 tokens[k, slot, c] = patches[begin + slot - 1, c]
 
 
-@njit(cache=True, nogil=True)
-def _fits(patches, positions, counts, cells, per_map):  # type: ignore[no-untyped-def]
+@kernel
+def _fits(patches, positions, counts, cells, per_map):
     """Whether packed maps have patches of ``cells`` cells, at most ``per_map`` of them each."""
     if patches.shape[1] != cells or patches.shape[0] != positions.shape[0]:
         return False
@@ -84,8 +95,8 @@ def _fits(patches, positions, counts, cells, per_map):  # type: ignore[no-untype
     return total == positions.shape[0]
 
 
-@njit(cache=True, nogil=True)
-def _fill_maps(patches, positions, counts, token, patch, maps):  # type: ignore[no-untyped-def]
+@kernel
+def _fill_maps(patches, positions, counts, token, patch, maps):
     """Lay out whole maps; returns the token after theirs.
 
     Args:
@@ -144,7 +155,40 @@ def open_session(folder: Path, spec: PolicySpec, threads: int) -> onnxruntime.In
         raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
 
 
-class PolicyRuntime:
+class StoredPolicy:
+    """The files of an exported policy. A run-time that inherits from it travels as their contents, without a path.
+
+    Attributes:
+        folder: Folder of the policy.
+        threads: Threads of one call.
+    """
+
+    def __init__(self, folder: Path, threads: int) -> None:
+        """Remember where the files are."""
+        self.folder = folder
+        self.threads = threads
+        self._contents: dict[str, bytes] | None = None
+
+    def __reduce__(self) -> tuple[Callable[..., StoredPolicy], tuple[Any, ...]]:
+        contents = self._contents
+        if contents is None:
+            contents = {name: (self.folder / name).read_bytes() for name in (SPEC_FILE, WEIGHTS_FILE, ONNX_FILE)}
+        return _unpack, (type(self), self.folder.name, contents, self.threads)
+
+
+def _unpack(kind: type[StoredPolicy], name: str, contents: dict[str, bytes], threads: int) -> StoredPolicy:
+    """Load a policy from the contents of its files."""
+    with tempfile.TemporaryDirectory(prefix="triform-policy-") as parent:
+        folder = Path(parent) / name
+        folder.mkdir()
+        for file, data in contents.items():
+            (folder / file).write_bytes(data)
+        runtime = kind(folder, threads)
+    runtime._contents = contents
+    return runtime
+
+
+class PolicyRuntime(StoredPolicy):
     """A policy that turns packed occupancy maps into body twists; may be called from several threads at once."""
 
     def __init__(self, folder: Path, threads: int = 1) -> None:
@@ -158,7 +202,7 @@ class PolicyRuntime:
         Raises:
             TriformError: If the folder holds no exported policy, it cannot be loaded, or it reads no maps.
         """
-        self.folder = folder
+        super().__init__(folder, threads)
         self.spec: PolicySpec = read_spec(folder)
         self._network = network = map_network(self.spec.network)
         self._session = open_session(folder, self.spec, threads)

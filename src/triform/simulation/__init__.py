@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from triform.simulation.arena import ARENAS, Arena, get_arena
+from triform.simulation.arena_file import arena_toml
 from triform.simulation.kinematics import (
     advance_pose,
     integrate,
@@ -12,6 +13,7 @@ from triform.simulation.kinematics import (
     wheel_speeds,
 )
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
+from triform.simulation.profile_file import profile_toml
 from triform.simulation.profiles import (
     FOOTPRINTS,
     HARDWARE,
@@ -29,7 +31,7 @@ from triform.simulation.profiles import (
 from triform.simulation.simulated import SimulatedTeam
 from triform.simulation.spawn_kernels import is_connected
 from triform.simulation.spawning import load_starts, sample_addition, sample_starts, square_side, world_seeds
-from triform.simulation.world import World
+from triform.simulation.world import World, make_world
 
 __all__ = [
     "ARENAS",
@@ -49,6 +51,7 @@ __all__ = [
     "advance_pose",
     "angle_offsets",
     "apply_noise",
+    "arena_toml",
     "cast_rolling",
     "cast_scans",
     "cast_world",
@@ -59,7 +62,9 @@ __all__ = [
     "is_connected",
     "limit_twists",
     "load_starts",
+    "make_world",
     "noise_sigma",
+    "profile_toml",
     "sample_addition",
     "sample_starts",
     "square_side",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from triform.types import ConfigurationError, FloatArray, require
+from triform.types import FloatArray, choose, require
 
 
 def _table(columns: int) -> FloatArray:
@@ -91,11 +92,16 @@ ARENAS = {
 
 
 def get_arena(name: str) -> Arena:
-    """Return the arena called ``name``.
+    """Return an arena by its name, or from a TOML file.
+
+    Args:
+        name: One of ``ARENAS``, or the path of a file that ends in ``.toml``.
 
     Raises:
-        ConfigurationError: If there is no such arena.
+        ConfigurationError: There is no such arena, or the file holds what is not allowed.
     """
-    if name not in ARENAS:
-        raise ConfigurationError(f"there is no arena {name!r}; known arenas are {', '.join(ARENAS)}")
-    return ARENAS[name]
+    if name.endswith(".toml"):
+        from triform.simulation.arena_file import read_arena
+
+        return read_arena(Path(name))
+    return choose("arena", name, ARENAS, " and your own as FILE.toml")

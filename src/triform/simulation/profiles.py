@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from triform.types import ConfigurationError, FloatArray, ScanConfig, require
+from triform.types import ConfigurationError, FloatArray, ScanConfig, choose, nearest, require
 
 
 def _is_positive(value: float) -> bool:
@@ -69,8 +70,8 @@ class Footprint:
         if shape == "box" and len(numbers) == 2:
             return cls.box(numbers[0], numbers[1])
         raise ConfigurationError(
-            f"footprint is {text!r}; allowed are {', '.join(FOOTPRINTS)}, circle:DIAMETER such as circle:0.30 and "
-            "box:LENGTHxWIDTH such as box:0.41x0.24, in metres"
+            f"footprint is {text!r}{nearest(text, FOOTPRINTS)}; allowed are {', '.join(FOOTPRINTS)}, circle:DIAMETER "
+            "such as circle:0.30 and box:LENGTHxWIDTH such as box:0.41x0.24, in metres"
         )
 
     @property
@@ -250,6 +251,10 @@ class Profile:
             require(_is_positive(value), f"{name} is {value} s; it must be positive and finite")
         require(0 <= self.latency < math.inf, f"latency is {self.latency} s; it must be finite and not negative")
 
+    def seeing(self, reach: float) -> Profile:
+        """Return these robots with a LiDAR that looks up to ``reach`` far [m]."""
+        return replace(self, lidar=replace(self.lidar, scan=replace(self.lidar.scan, range_max=reach)))
+
 
 IDEAL = Profile("ideal")
 
@@ -279,11 +284,16 @@ PROFILES = {profile.name: profile for profile in (IDEAL, HARDWARE)}
 
 
 def get_profile(name: str) -> Profile:
-    """Return the profile called ``name``.
+    """Return a profile by its name, or from a TOML file.
+
+    Args:
+        name: One of ``PROFILES``, or the path of a file that ends in ``.toml``.
 
     Raises:
-        ConfigurationError: If there is no such profile.
+        ConfigurationError: There is no such profile, or the file holds what is not allowed.
     """
-    if name not in PROFILES:
-        raise ConfigurationError(f"there is no profile {name!r}; known profiles are {', '.join(PROFILES)}")
-    return PROFILES[name]
+    if name.endswith(".toml"):
+        from triform.simulation.profile_file import read_profile
+
+        return read_profile(Path(name))
+    return choose("profile", name, PROFILES, " and your own as FILE.toml")

@@ -8,14 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from triform.simulation.arena import Arena
+from triform.simulation.arena import Arena, get_arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
 from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, scan_rays
-from triform.simulation.profiles import Profile
+from triform.simulation.profiles import Profile, get_profile
 from triform.simulation.sensors import SensorSuite, padded
+from triform.simulation.spawning import sample_starts, world_seeds
 from triform.simulation.world_kernels import advance_worlds, record_contacts
 from triform.threads import in_parts
 from triform.types import (
+    SENSING_RANGE,
     BoolArray,
     ConfigurationError,
     FloatArray,
@@ -265,3 +267,31 @@ class World:
         self._poses = padded(self._poses, np.nan)
         self._velocities = padded(self._velocities, 0.0)
         self._senses.grow()
+
+
+def make_world(
+    robots: int = 9,
+    seed: int = 7,
+    runs: int = 1,
+    profile: str = "ideal",
+    arena: str = "open",
+    distance: float = 1.0,
+) -> World:
+    """Return worlds at their random starts: runs 0, 1, ... of an evaluation with the same settings.
+
+    Args:
+        robots: Robots of each team, N.
+        seed: Seed of starts and noise.
+        runs: Number of worlds, B.
+        profile: Robot profile: a name or a TOML file.
+        arena: Arena: a name or a TOML file.
+        distance: Prescribed neighbour distance d* [m]; a robot sees 2 d* far.
+
+    Raises:
+        ConfigurationError: A name is unknown or a number not allowed.
+    """
+    require(runs >= 1, f"runs is {runs}; at least 1 is needed")
+    require(0 < distance < np.inf, f"distance is {distance} m; it must be positive and finite")
+    poses = sample_starts(robots, runs, seed, distance=distance)
+    seeds = world_seeds(robots, seed, range(runs))
+    return World(poses, get_profile(profile).seeing(SENSING_RANGE * distance), get_arena(arena), seeds)

@@ -1,0 +1,66 @@
+"""An arena as a TOML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from triform.simulation.arena import Arena
+from triform.simulation.tables import TomlTable, are_numbers
+from triform.types import ConfigurationError, FloatArray
+
+
+def read_arena(path: Path) -> Arena:
+    """Read an arena of walls, circles and boxes.
+
+    Raises:
+        ConfigurationError: The file cannot be read, or a key or value is not allowed; the sentence names both.
+    """
+    top = TomlTable.read(path)
+    top.known("name", "walls", "circles", "boxes")
+    walls = top.rows("walls", 4, "x1, y1, x2, y2 [m]")
+    circles = top.rows("circles", 3, "x, y, radius [m]")
+    for box in top.tables("boxes"):
+        walls += _sides(box).tolist()
+    tables = np.array(walls).reshape(-1, 4), np.array(circles).reshape(-1, 3)
+    try:
+        return Arena(top.text("name", path.stem), *tables)
+    except ConfigurationError as error:
+        raise top.refused(error) from None
+
+
+def _sides(box: TomlTable) -> FloatArray:
+    """Return the four walls of a box, shape (4, 4) [m]."""
+    box.known("center", "length", "width", "heading")
+    center = box.values.get("center")
+    if not are_numbers(center, 2):
+        raise box.wrong("center", center, "two numbers are needed: x, y [m]")
+    length, width, heading = box.number("length", 0.0), box.number("width", 0.0), box.number("heading", 0.0)
+    for key, value in (("length", length), ("width", width)):
+        if not 0 < value < np.inf:
+            raise box.wrong(key, value, "it must be positive and finite [m]")
+    if not np.isfinite(heading):
+        raise box.wrong("heading", heading, "it must be finite [rad]")
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
+    turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+    placed = corners @ turn + np.asarray(center, dtype=np.float64)
+    return np.concatenate([placed, np.roll(placed, -1, axis=0)], axis=1)
+
+
+def arena_toml(arena: Arena) -> str:
+    """Return an arena as the text of a TOML file, with units, to start from."""
+    lines = [
+        f'name = "{arena.name}"',
+        "# Segments x1, y1, x2, y2 [m].",
+        f"walls = {_rows(arena.walls)}",
+        "# Solid circles x, y, radius [m].",
+        f"circles = {_rows(arena.pillars)}",
+        "# Boxes are tables: [[boxes]] with center = [x, y], length, width [m] and heading [rad].",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _rows(table: FloatArray) -> str:
+    rows = ",\n".join(f"    {row}" for row in table.tolist())
+    return f"[\n{rows},\n]" if rows else "[]"

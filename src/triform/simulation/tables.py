@@ -1,0 +1,121 @@
+"""Profiles and arenas in TOML: read with one sentence for what is wrong, and written to start from."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from triform.types import ConfigurationError, nearest
+
+
+@dataclass(frozen=True)
+class TomlTable:
+    """A table of a TOML file whose values are taken out one by one, each checked.
+
+    Attributes:
+        path: The file.
+        values: What the file says.
+        section: Name of the table; empty for the top.
+    """
+
+    path: Path
+    values: Mapping[str, Any]
+    section: str = ""
+
+    @classmethod
+    def read(cls, path: Path) -> TomlTable:
+        """Read a file.
+
+        Raises:
+            ConfigurationError: It cannot be read, or is no TOML.
+        """
+        try:
+            return cls(path, tomllib.loads(path.read_text(encoding="utf-8")))
+        except OSError as error:
+            raise ConfigurationError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}") from None
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+            raise ConfigurationError(f"{path} is no TOML file: {error}") from None
+
+    def known(self, *keys: str) -> None:
+        """Refuse keys that are none of these."""
+        for key in self.values:
+            if key not in keys:
+                raise ConfigurationError(
+                    f"{self.path}: there is no key {self._name(key)!r}{nearest(key, keys)}; allowed are "
+                    f"{', '.join(keys)}"
+                )
+
+    def table(self, key: str) -> TomlTable:
+        """Return the table ``key``, empty if the file has none."""
+        value = self.values.get(key, {})
+        if not isinstance(value, dict):
+            raise self.wrong(key, value, "a table is needed")
+        return TomlTable(self.path, value, self._name(key))
+
+    def number(self, key: str, default: float) -> float:
+        """Return a number; ``inf`` counts as one."""
+        value = self.values.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise self.wrong(key, value, "a number is needed")
+        return float(value)
+
+    def whole(self, key: str, default: int) -> int:
+        """Return a whole number."""
+        value = self.values.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.wrong(key, value, "a whole number is needed")
+        return value
+
+    def flag(self, key: str, default: bool) -> bool:
+        """Return true or false."""
+        value = self.values.get(key, default)
+        if not isinstance(value, bool):
+            raise self.wrong(key, value, "true or false is needed")
+        return value
+
+    def text(self, key: str, default: str) -> str:
+        """Return a text."""
+        value = self.values.get(key, default)
+        if not isinstance(value, str):
+            raise self.wrong(key, value, "a text is needed")
+        return value
+
+    def rows(self, key: str, columns: int, what: str) -> list[list[float]]:
+        """Return rows of finite numbers, none if the file has no such key."""
+        value = self.values.get(key, [])
+        for row in value if isinstance(value, list) else [value]:
+            if not are_numbers(row, columns):
+                raise self.wrong(key, row, f"rows of {columns} numbers are needed: {what}")
+        return [[float(number) for number in row] for row in value]
+
+    def tables(self, key: str) -> list[TomlTable]:
+        """Return the tables of a list, none if the file has no such key."""
+        value = self.values.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
+            raise self.wrong(key, value, "a list of tables is needed")
+        return [TomlTable(self.path, each, f"{self._name(key)}[{index}]") for index, each in enumerate(value)]
+
+    def wrong(self, key: str, value: Any, needed: str) -> ConfigurationError:
+        """Return the error of a value that is not allowed."""
+        return ConfigurationError(f"{self.path}: {self._name(key)} is {value!r}; {needed}")
+
+    def refused(self, error: ConfigurationError) -> ConfigurationError:
+        """Return the error of values that do not go together."""
+        where = f", table {self.section}" if self.section else ""
+        return ConfigurationError(f"{self.path}{where}: {error}")
+
+    def _name(self, key: str) -> str:
+        return f"{self.section}.{key}" if self.section else key
+
+
+def are_numbers(value: Any, count: int) -> bool:
+    """Tell whether a value is a list of so many numbers."""
+    return (
+        isinstance(value, list)
+        and len(value) == count
+        and all(isinstance(each, int | float) and not isinstance(each, bool) for each in value)
+    )
