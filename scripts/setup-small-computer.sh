@@ -41,7 +41,7 @@ install() {
     [ -x "$venv/bin/python" ] && new_enough "$venv/bin/python" || make_venv
     "$venv/bin/python" -m pip --disable-pip-version-check install --quiet --only-binary=:all: \
         --constraint "$sources/constraints.txt" --editable "$sources[robot]"
-    "$venv/bin/triform" bench --robot
+    "$venv/bin/triform" bench
 }
 
 lidar() {

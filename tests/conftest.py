@@ -5,6 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
+from triform.commands.terminal import Terminal
 from triform.figures.runs import Scene
 from triform.simulation import ROBOMASTER_EP, Arena
 
@@ -12,6 +13,11 @@ from triform.simulation import ROBOMASTER_EP, Arena
 @pytest.fixture
 def console():
     return Console(file=io.StringIO(), width=100)
+
+
+@pytest.fixture
+def listener(console):
+    return Terminal(console)
 
 
 @pytest.fixture

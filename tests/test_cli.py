@@ -2,18 +2,20 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow.parquet as parquet
 import pytest
+import tyro
 
 from triform import __version__
 from triform.cli import COMMANDS, main
+from triform.commands.options import CONFIG, registry
 from triform.training import PRESETS
 
 #: A preset that learns an expert from demonstrations, and one that learns the triangulating law from scenes.
@@ -48,6 +50,10 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     [
         (["evaluate", "--runs", "0"], "runs is 0"),
         (["evaluate", "--robots", "0"], "robots is 0"),
+        (["evaluate", "--controller", "magic"], "no controller 'magic'"),
+        (["evaluate", "--profile", "moon"], "no profile 'moon'"),
+        (["evaluate", "--arena", "pilars"], "did you mean 'pillars'"),
+        (["evaluate", "--event", "explode"], "explode"),
         (["evaluate", "--duration", "4"], "duration is 4"),
         (["reproduce", "fig99"], "fig99"),
         (["train"], "--out"),
@@ -63,9 +69,7 @@ def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["evaluate", "--controller", "magic"], "no controller 'magic'"),
-        (["evaluate", "--profile", "moon"], "'moon'"),
-        (["evaluate", "--weights", "nowhere"], "no policy 'nowhere'"),
+        (["evaluate", "--controller", "policy:nowhere"], "no policy 'nowhere'"),
         (["evaluate", "--starts", "missing.csv"], "missing.csv"),
         (["export", "missing"], "holds no policy"),
         (["collect", "--out", "data", "--teacher", "nobody"], "no expert 'nobody'"),
@@ -79,10 +83,9 @@ def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: 
         (["train", "--out", "file/run", "--maps", "500"], "cannot write"),
         (["collect", "--out", "file/data"], "cannot write"),
         (["evaluate", "--robots", "3", "--json", "file/out.json"], "cannot write"),
-        (["dynamic", "--json", "file/out.json"], "cannot write"),
         (["reproduce", "--output", "file/results"], "cannot write"),
         (["demo", "--output", "file/demo"], "cannot write"),
-        (["evaluate", "--weights", "file"], "is a file"),
+        (["evaluate", "--controller", "policy:file"], "is a file"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_sentence(
@@ -118,7 +121,7 @@ def test_collect_train_export_evaluate(tmp_path: Path) -> None:
     assert main(["train", "--out", str(tmp_path / "scenes"), "--preset", SCENES, "--data", str(data)]) == 1
     assert not (tmp_path / "scenes").exists()
     assert main(["export", str(run / "best")]) == 0
-    evaluate = ["evaluate", "--weights", str(run / "best"), "--robots", "3", "--runs", "1", "--duration", "6"]
+    evaluate = ["evaluate", "--controller", f"policy:{run / 'best'}", "--robots", "3", "--runs", "1", "--duration", "6"]
     assert main(evaluate) == 0
 
 
@@ -139,30 +142,35 @@ def test_a_stopped_training_says_so_and_resumes(tmp_path: Path, stop: signal.Sig
     assert main([*train, "--resume"]) == 0
 
 
-def test_the_first_command_says_that_it_compiles(tmp_path: Path, monkeypatch, capsys) -> None:
-    @dataclass(frozen=True)
-    class Nothing:
-        """No options."""
+def test_the_first_command_says_that_it_compiles(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "triform", "evaluate", "--robots", "3", "--runs", "1", "--duration", "5"]
+    command += ["--controller", "expert"]
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    environment["XDG_CACHE_HOME"] = str(tmp_path)
+    told = [
+        subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stderr for _ in range(2)
+    ]
+    assert told == ["compiling kernels, once after an installation: about a minute\n", ""]
 
-    monkeypatch.setitem(COMMANDS, "demo", ("", lambda: (Nothing, lambda config, console: None)))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    with pytest.raises(SystemExit):
-        main(["demo", "--help"])
-    assert "compiling" not in capsys.readouterr().err
-    assert main(["demo"]) == 0
-    assert capsys.readouterr().err == "compiling kernels, once after an installation: about a minute\n"
-    (tmp_path / "geometry").mkdir()
-    (tmp_path / "geometry/kernel.nbi").touch()
-    assert main(["demo"]) == 0
-    assert capsys.readouterr().err == ""
+
+def test_a_mistyped_command_is_guessed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evalute"]) == 2
+    assert "there is no command 'evalute'; did you mean 'evaluate'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_example_of_every_command_parses(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = shlex.split(COMMANDS[name].example)
+    assert words[:2] == ["triform", name]
+    tyro.cli(COMMANDS[name].load(), args=words[2:], config=CONFIG, registry=registry)
 
 
 def test_without_a_terminal_lines_tell_how_far_a_command_is(capsys) -> None:
     expert = ["--controller", "expert", "--runs", "1"]
     assert main(["evaluate", "--robots", "1", "2", "--duration", "6", *expert]) == 0
     assert len([line for line in capsys.readouterr().out.splitlines() if line.startswith("done after")]) == 2
-    assert main(["dynamic", "--robots", "3", "--duration", "12", "--change-time", "6", *expert]) == 0
-    assert len([line for line in capsys.readouterr().out.splitlines() if line.startswith("done after")]) == 2
+    assert main(["evaluate", "--robots", "3", "--duration", "12", "--event", "join@6", *expert]) == 0
+    assert len([line for line in capsys.readouterr().out.splitlines() if line.startswith("done after")]) == 1
 
 
 @pytest.mark.parametrize("command", ["collect", "train"])
@@ -207,7 +215,6 @@ def test_one_and_two_robots_have_defined_results(tmp_path: Path) -> None:
     [
         ["collect", "--preset", "paper", "--out", "out"],
         ["evaluate", "--runs", "1000", "--json", "out/out.json"],
-        ["dynamic", "--runs", "1000", "--json", "out/out.json"],
         ["reproduce", "--output", "out"],
         ["demo", "--duration", "100000", "--output", "out"],
     ],

@@ -58,6 +58,7 @@ def _command(group: str, name: str, summary: str, example: str) -> tuple[str, Co
 COMMANDS: dict[str, Command] = dict(
     [
         _command("look", "demo", "run one team and draw it", "--robots 9"),
+        _command("look", "show", "list profiles, arenas, controllers, policies; print one as TOML", "profile hardware"),
         _command(
             "measure", "evaluate", "measure a controller on many starts", "--robots 5 9 --runs 100 --json out.json"
         ),

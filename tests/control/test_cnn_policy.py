@@ -25,7 +25,7 @@ def test_a_convolutional_network_drives_robots_from_their_scans_alone(tmp_path: 
     blind = View(view.scans, view.active, 0.0)
     maps = occupancy_maps(view.scans, MapConfig()).reshape(-1, 100, 100)
     export_policy(tmp_path, maps[:20])
-    controller = make_controller("policy", weights=str(tmp_path))
+    controller = make_controller(f"policy:{tmp_path}")
     assert not controller.privileged
     assert controller.description["network"]["kind"] == "cnn"
     answers = PolicyRuntime(tmp_path).commands(pack(maps, config.patch))

@@ -86,7 +86,7 @@ def test_robots_that_are_not_there_are_not_heard(folder: Path) -> None:
 
 
 def test_it_is_made_by_name_and_needs_poses(folder: Path) -> None:
-    controller = make_controller("gnn", weights=str(folder))
+    controller = make_controller(f"gnn:{folder}")
     view = view_of(4, 2, 0)
     assert controller.privileged
     assert controller.description["name"] == "gnn"
@@ -99,6 +99,6 @@ def test_it_is_made_by_name_and_needs_poses(folder: Path) -> None:
     with pytest.raises(TriformError, match="finite poses"):
         controller.command(replace(view, poses=np.full_like(view.poses, np.nan)))
     with pytest.raises(ConfigurationError, match="reads no occupancy maps"):
-        make_controller("policy", weights=str(folder))
+        make_controller(f"policy:{folder}")
     with pytest.raises(ConfigurationError, match="a graph network is needed"):
-        make_controller("gnn", weights="default")
+        make_controller("gnn:default")

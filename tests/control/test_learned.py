@@ -299,8 +299,8 @@ def test_unknown_names_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="no controller 'magic'"):
         make_controller("magic")
     with pytest.raises(ConfigurationError, match="no policy 'nowhere'"):
-        make_controller("policy", weights="nowhere")
+        make_controller("policy:nowhere")
     with pytest.raises(ConfigurationError, match="no weights"):
-        make_controller("expert", weights="default")
+        make_controller("expert:default")
     with pytest.raises(TriformError, match="holds no policy"):
-        make_controller("policy", weights=str(tmp_path))
+        make_controller(f"policy:{tmp_path}")

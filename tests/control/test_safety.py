@@ -1,4 +1,4 @@
-"""The speed layer: half-planes against brute force, SciPy and Shapely, and robots that want to collide."""
+"""The safety filter: half-planes against brute force, SciPy and Shapely, and robots that want to collide."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.options import options
 from triform.cli import main
 from triform.dataset import CollectionConfig, collect
 from triform.engines import LocalEngine, open_engine
@@ -95,7 +96,7 @@ def test_an_evaluation_is_the_same_to_the_bit_on_one_thread_two_and_ray_whose_wo
     engine, tmp_path, monkeypatch
 ):
     monkeypatch.setattr("triform.evaluation.scenario.ROBOTS_PER_CHUNK", 8)
-    config = EvaluateConfig(robots=(3, 5, 4), runs=6, duration=6.0, profile="hardware", seed=5)
+    config = options(EvaluateConfig, robots=(3, 5, 4), runs=6, duration=6.0, profile="hardware", seed=5)
     on_ray = evaluate(config, engine=Deadly(engine, tmp_path / "killed"))
     assert (tmp_path / "killed").exists()
     assert [result["robots"] for result in on_ray.results] == [3, 5, 4]
@@ -133,9 +134,26 @@ def test_a_collection_begun_on_ray_is_finished_here(engine, tmp_path):
 def test_commands_take_the_engine_and_the_address(address, tmp_path, capsys):
     ray = ["--engine", "ray", "--ray-address", address]
     tables = []
-    for name, options in (("here", []), ("ray", ray)):
+    for name, extra in (("here", []), ("ray", ray)):
         out = ["--json", str(tmp_path / f"{name}.json"), "--parquet", str(tmp_path / f"{name}.parquet")]
-        assert main(["dynamic", "--runs", "2", "--robots", "3", "--weights", "large", *out, *options]) == 0
+        assert (
+            main(
+                [
+                    "evaluate",
+                    "--event",
+                    "join",
+                    "--runs",
+                    "2",
+                    "--robots",
+                    "3",
+                    "--controller",
+                    "policy:large",
+                    *out,
+                    *extra,
+                ]
+            )
+            == 0
+        )
         tables.append((tmp_path / f"{name}.parquet").read_bytes())
     assert tables[0] == tables[1]
     reproduce = ["reproduce", "fig4", "--controller", "expert", "--runs", "1", "--duration", "6"]
@@ -233,7 +251,7 @@ def test_a_node_with_other_versions_is_refused_by_name(engine, monkeypatch):
         match=rf"^the Ray node \S+ has triform {here['triform']} instead of 0\.0\.9, numpy {here['numpy']} instead of "
         r"1\.26\.4; its results would not be identical",
     ):
-        evaluate(EvaluateConfig(controller="expert", robots=(3,), runs=1, duration=6.0), engine=engine)
+        evaluate(options(EvaluateConfig, controller="expert", robots=(3,), runs=1, duration=6.0), engine=engine)
 
 
 def test_a_worker_that_always_dies_is_given_up(engine, monkeypatch):

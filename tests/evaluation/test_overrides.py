@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.options import options, scenario
 from triform.evaluation import Scenario
-from triform.evaluation.overrides import FOOTPRINTS, Overrides, get_footprint
-from triform.experiments.evaluate import EvaluateConfig, evaluate, run_evaluation
-from triform.simulation import HARDWARE, IDEAL, PROFILES, constant_noise
-from triform.types import ConfigurationError, TriformError
+from triform.evaluation.overrides import Overrides
+from triform.experiments.evaluate import EvaluateConfig, run_evaluate
+from triform.simulation import FOOTPRINTS, HARDWARE, IDEAL, PROFILES, constant_noise
+from triform.types import ConfigurationError
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -38,7 +39,7 @@ def test_without_conditions_a_robot_is_its_profile(profile):
 )
 def test_each_condition_replaces_its_own_value_and_no_other(profile, changes, distance):
     own = PROFILES[profile]
-    robot = Scenario(profile=profile, distance=distance, **changes).robot
+    robot = scenario(profile=profile, distance=distance, **changes).robot
     assert robot.lidar.scan.range_max == 2 * distance
     assert robot.lidar.dropout == changes.get("dropout", own.lidar.dropout)
     assert robot.latency == changes.get("latency", own.latency)
@@ -58,7 +59,7 @@ def test_each_condition_replaces_its_own_value_and_no_other(profile, changes, di
 
 
 def test_commands_keep_step_with_the_scans_where_they_did():
-    ideal, hardware = (Scenario(profile=name, scan_rate=20.0).robot for name in ("ideal", "hardware"))
+    ideal, hardware = (scenario(profile=name, scan_rate=20.0).robot for name in ("ideal", "hardware"))
     assert ideal == replace(IDEAL, lidar=replace(IDEAL.lidar, period=0.05), control_period=0.05)
     assert hardware == replace(HARDWARE, lidar=replace(HARDWARE.lidar, period=0.05))
 
@@ -78,25 +79,25 @@ def test_commands_keep_step_with_the_scans_where_they_did():
 )
 def test_bad_conditions_are_refused(changes, message):
     with pytest.raises(ConfigurationError, match=message):
-        Scenario(**changes)
+        scenario(**changes)
 
 
 def test_an_unknown_footprint_is_refused():
-    with pytest.raises(TriformError, match="no footprint 'moon'; known footprints are ep, engineer"):
-        evaluate(EvaluateConfig(controller="expert", footprint="moon", robots=(2,), runs=1, duration=6.0))
+    with pytest.raises(ConfigurationError, match="footprint is 'moon'; allowed are ep, engineer"):
+        scenario(footprint="moon")
 
 
 def test_robots_fit_side_by_side_at_the_start():
     for name in FOOTPRINTS:
-        assert 2 * get_footprint(name).circumradius < 0.5
+        assert 2 * FOOTPRINTS[name].circumradius < 0.5
 
 
-def test_results_record_the_robot_as_it_was_run(tmp_path, console):
-    config = EvaluateConfig(
-        controller="scan-pipeline", robots=(3,), runs=2, duration=6.0, range_noise=0.01, scan_rate=20.0,
+def test_results_record_the_robot_as_it_was_run(tmp_path, listener):
+    config = options(
+        EvaluateConfig, controller="scan-pipeline", robots=(3,), runs=2, duration=6.0, range_noise=0.01, scan_rate=20.0,
         footprint="circle-15", distance=0.8, json=tmp_path / "out.json",
     )  # fmt: skip
-    run_evaluation(config, console)
+    run_evaluate(config, listener)
     written = json.loads((tmp_path / "out.json").read_text())["config"]
     recorded = written["profile_description"]
     assert (recorded["footprint"]["length"], recorded["control_period"]) == (0.3, 0.05)
@@ -104,5 +105,5 @@ def test_results_record_the_robot_as_it_was_run(tmp_path, console):
     assert recorded["lidar"]["scan"]["range_max"] == 1.6
     assert {name: written[name] for name in asdict(Overrides())} == {
         "range_noise": 0.01, "dropout": None, "scan_rate": 20.0, "latency": None, "speed_limit": None,
-        "acceleration": None, "lag": None, "footprint": "circle-15",
+        "acceleration": None, "lag": None, "footprint": "circle-15", "odometry": True,
     }  # fmt: skip

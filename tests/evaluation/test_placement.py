@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from triform.evaluation import Scenario
+from triform.evaluation.events import Event
 from triform.evaluation.placement import blocked_starts, sample_clear_addition, walled_off
-from triform.evaluation.scenario import world_seeds
-from triform.experiments.dynamic import ChangedRuns, DynamicConfig, run_changes
-from triform.simulation import Arena, World, get_arena, get_profile, sample_addition, sample_starts
+from triform.simulation import Arena, World, get_arena, get_profile, sample_addition, sample_starts, world_seeds
 from triform.types import ConfigurationError, TriformError
 
 ROOM = get_arena("room-6")
@@ -53,19 +52,19 @@ def test_blocked_are_starts_that_touch_or_stand_on_both_sides_of_a_wall():
 
 @pytest.mark.parametrize("check", ["check_starts", "make_world"])
 def test_blocked_starts_are_counted_in_one_sentence(check):
-    scenario = Scenario(controller="expert", arena="room-6")
+    scenario = Scenario(arena="room-6")
     poses = np.zeros((3, 2, 3))
     poses[:, 1, 0] = [1.0, 2.9, 3.5]
     given = [poses] if check == "check_starts" else [poses, world_seeds(2, 0, range(3))]
-    with pytest.raises(ConfigurationError, match=r"^2 of 3 starts of 2 robots touch a wall or pillar of [^\n]+$"):
+    with pytest.raises(ConfigurationError, match=r"^2 of 3 starts of 2 robots touch an obstacle of [^\n]+$"):
         getattr(scenario, check)(*given)
-    getattr(Scenario(controller="expert"), check)(*given)
+    getattr(Scenario(), check)(*given)
 
 
 @pytest.mark.parametrize("arena", ["open", "room-6", "pillars"])
 def test_starts_of_up_to_thirteen_robots_fit_into_every_arena(arena):
     for robots in (4, 13):
-        Scenario(controller="expert", arena=arena, profile="hardware").check_starts(sample_starts(robots, 50, 7))
+        Scenario(arena=arena, profile="hardware").check_starts(sample_starts(robots, 50, 7))
 
 
 def test_a_robot_joins_inside_the_room_and_clear_of_everything():
@@ -95,12 +94,9 @@ def test_a_room_without_a_place_is_named():
 
 
 def test_teams_that_change_in_a_room_stay_in_it():
-    config = DynamicConfig(
-        controller="expert", robots=4, runs=12, seed=2, change_time=5.0, duration=10.0, arena="room-6"
-    )
-    trajectory, table = run_changes(config, config.make_controller(), ChangedRuns("addition", 0, 12))
+    scenario = Scenario(duration=10.0, arena="room-6", event=Event("join", 5.0))
+    trajectory, table = scenario.run(scenario.sample_starts(4, 12, 2), "expert", seed=2)
     added = trajectory.positions[np.arange(12), 50, table["changed_robot"]]
     assert (np.abs(added) < 3).all()
-    config = DynamicConfig(controller="expert", robots=25, runs=12, arena="room-6")
     with pytest.raises(ConfigurationError, match="of 12 starts of 25 robots touch"):
-        run_changes(config, config.make_controller(), ChangedRuns("removal", 0, 12))
+        scenario.run(scenario.sample_starts(25, 12, 7), "expert")

@@ -12,11 +12,14 @@ import pytest
 import tyro
 from PIL import Image
 
+from tests.options import options
 from triform.cli import COMMANDS
+from triform.commands.options import CONFIG, registry
+from triform.evaluation import Scenario
 from triform.experiments import reproduce as module
 from triform.experiments.demo import DemoConfig, run_demo
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.experiments.reproduce import KEYS, ReproduceConfig, reproduce
+from triform.experiments.reproduce import KEYS, ReproduceConfig, run_reproduce
 from triform.report.page import Section, read_sections, write_pages
 from triform.types import ConfigurationError, TriformError
 
@@ -27,12 +30,9 @@ def _small(monkeypatch):
     monkeypatch.setattr(module, "_CANDIDATES", 2)
 
 
-def test_all_results_are_written_and_tied_together(tmp_path, console):
-    compare = ("expert-sensed", "expert")
-    config = ReproduceConfig(
-        controller="expert-sensed", what="all", output=tmp_path, runs=2, duration=27.0, compare=compare
-    )
-    pages = reproduce(config, console)
+def test_all_results_are_written_and_tied_together(tmp_path, listener):
+    config = options(ReproduceConfig, controller="expert-sensed", what="all", output=tmp_path, runs=2, duration=27.0)
+    pages = run_reproduce(config, listener)
     assert pages == [tmp_path / "index.md", tmp_path / "index.html"]
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
@@ -40,16 +40,15 @@ def test_all_results_are_written_and_tied_together(tmp_path, console):
         "fig2.json", "fig2.parquet", "fig2.png", "fig3.json", "fig3.parquet", "fig3.png",
         "fig4.json", "fig4.parquet", "fig4.png", "fig5.json", "fig5.parquet", "fig5.png", "fig9.json", "fig9.parquet",
         "fig9.png",
-        "comparison.json", "comparison.parquet", "comparison.png", "comparison.md",
     }  # fmt: skip
     markdown = pages[0].read_text()
     titles = re.findall(r"^## ([^:\n]*)", markdown, re.MULTILINE)
-    assert titles == ["Table I", "Fig. 2", "Fig. 3", "Fig. 4", "Fig. 5", "Fig. 9", "Controllers side by side"]
+    assert titles == ["Table I", "Fig. 2", "Fig. 3", "Fig. 4", "Fig. 5", "Fig. 9"]
     assert "| 5 | 100 % |" in markdown
     linked = set(re.findall(r"\]\(([^)]+)\)", markdown))
     assert linked == names - {"index.md", "index.html"}
     page = pages[1].read_text()
-    assert len(re.findall(r'src="data:image/png;base64,', page)) == 6
+    assert len(re.findall(r'src="data:image/png;base64,', page)) == 5
     assert "within 6 s and stays there" in page
     assert "http" not in page
     table = json.loads((tmp_path / "table1.json").read_text())
@@ -60,21 +59,19 @@ def test_all_results_are_written_and_tied_together(tmp_path, console):
     assert poses.groupby("robots").size().to_dict() == {5: 5 * 271, 7: 7 * 271}
     changes = json.loads((tmp_path / "fig5.json").read_text())["results"]
     assert [(entry["robots_before"], entry["robots_after"]) for entry in changes] == [(7, 8), (7, 6)]
-    compared = json.loads((tmp_path / "comparison.json").read_text())["controllers"]
-    assert [entry["name"] for entry in compared] == ["expert-sensed", "expert"]
-    assert compared[0]["results"] == table["results"]
-    assert "[comparison.md](comparison.md)" in markdown
 
 
-def test_one_result_joins_those_already_there(tmp_path, console):
-    config = ReproduceConfig(controller="expert", what="fig3", output=tmp_path, runs=1, duration=6.0)
-    reproduce(config, console)
-    reproduce(ReproduceConfig(controller="expert", what="fig4", output=tmp_path, runs=1, duration=6.0), console)
+def test_one_result_joins_those_already_there(tmp_path, listener):
+    config = options(ReproduceConfig, controller="expert", what="fig3", output=tmp_path, runs=1, duration=6.0)
+    run_reproduce(config, listener)
+    run_reproduce(
+        options(ReproduceConfig, controller="expert", what="fig4", output=tmp_path, runs=1, duration=6.0), listener
+    )
     markdown = (tmp_path / "index.md").read_text()
     assert "## Fig. 3" in markdown
     assert "## Fig. 4" in markdown
     assert (
-        f"triform reproduce fig4 --controller expert --duration 6.0 --output {tmp_path} --runs 1 --seed 7" in markdown
+        f"triform reproduce fig4 --controller expert --output {tmp_path} --runs 1 --seed 7 --duration 6.0" in markdown
     )
 
 
@@ -100,43 +97,38 @@ def test_pages_escape_what_they_show(tmp_path):
     [
         {},
         {"controller": "expert", "duration": 37.5, "distance": 0.9, "profile": "hardware", "arena": "room-6"},
-        {"weights": "my policies/it's best", "threads": 3, "runs": 5, "seed": 2, "output": Path("a b")},
-        {"compare": ("policy", "scan-pipeline"), "weights": "large"},
+        {"controller": "policy:my policies/it's best", "runs": 5, "seed": 2, "output": Path("a b")},
     ],
 )
-def test_the_command_on_the_page_gives_the_same_settings(key, changes):
-    config = ReproduceConfig(what=key, **changes)
+def test_the_command_on_the_page_gives_the_same_settings(key, changes, monkeypatch):
+    monkeypatch.setattr(module, "SIZES", (5, 7))
+    config = options(ReproduceConfig, what=key, **changes)
     words = shlex.split(config.command(key))
     assert words[:3] == ["triform", "reproduce", key]
-    options, _ = COMMANDS["reproduce"][1]()
-    again = tyro.cli(options, args=words[2:])
-    # The comparison has controllers of its own, and weights matter only to those that are a plain policy.
-    unsaid = {"compare"} if key != "comparison" else {"controller"}
-    if key == "comparison" and "policy" not in config.compare:
-        unsaid |= {"weights"}
+    again = tyro.cli(COMMANDS["reproduce"].load(), args=words[2:], config=CONFIG, registry=registry)
     for option in dataclasses.fields(config):
-        if option.name not in unsaid:
-            assert getattr(again, option.name) == getattr(config, option.name), option.name
-    assert again.contestants == config.contestants or key != "comparison"
+        assert getattr(again, option.name) == getattr(config, option.name), option.name
 
 
 def test_defaults_are_not_said():
     assert ReproduceConfig().command("fig3") == "triform reproduce fig3 --controller policy --runs 100 --seed 7"
-    assert ReproduceConfig().command("comparison") == "triform reproduce comparison --runs 100 --seed 7"
 
 
 @pytest.mark.parametrize("formed", [True, False])
-def test_the_page_says_which_change_is_shown(formed, tmp_path, console, monkeypatch):
-    run_changes = module.run_changes
+def test_the_page_says_which_change_is_shown(formed, tmp_path, listener, monkeypatch):
+    run = Scenario.run
 
-    def changed(config, controller, runs, on_step=None):
-        trajectory, table = run_changes(config, controller, runs, on_step)
-        table["connected_start"][:] = True
-        table["formed_before"][:] = [False, formed]
+    def changed(scenario, *given, **options):
+        trajectory, table = run(scenario, *given, **options)
+        if scenario.event is not None and len(table["success"]) == 2:
+            table["connected_start"][:] = True
+            table["formed_before"][:] = [False, formed]
         return trajectory, table
 
-    monkeypatch.setattr(module, "run_changes", changed)
-    reproduce(ReproduceConfig(controller="expert", what="fig5", output=tmp_path, runs=2, duration=26.0), console)
+    monkeypatch.setattr(Scenario, "run", changed)
+    run_reproduce(
+        options(ReproduceConfig, controller="expert", what="fig5", output=tmp_path, runs=2, duration=26.0), listener
+    )
     text = (tmp_path / "index.md").read_text()
     if formed:
         assert "Above is start 1 of team size 6, the first that had formed" in text
@@ -153,42 +145,37 @@ def test_the_page_says_which_change_is_shown(formed, tmp_path, console, monkeypa
         ({"what": "fig6"}, "what is 'fig6'"),
         ({"runs": 0}, "runs is 0"),
         ({"seed": -1}, "seed is -1"),
-        ({"duration": 25.0}, "duration is 25 s; all needs at least 26 s"),
-        ({"what": "fig5", "duration": 21.0}, "duration is 21 s; fig5 needs at least 26 s"),
+        ({"duration": 25.0}, "the event comes at 21 s; a run of 25 s"),
+        ({"what": "fig5", "duration": 21.0}, "the event comes at 21 s; a run of 21 s"),
         ({"what": "fig4", "duration": 4.0}, "duration is 4.0 s; a run is measured over its last 5 s"),
         ({"what": "fig4", "duration": 6.25}, "whole number of control periods of 0.1 s"),
         ({"what": "table1", "duration": 27.1}, "table1 also runs the profile 'hardware'"),
-        ({"compare": ()}, "compare is empty"),
-        ({"compare": ("magic",)}, "no controller 'magic' to compare"),
-        ({"compare": ("expert:large",)}, "cannot compare 'expert:large'; only a policy has weights"),
-        ({"compare": ("policy:",)}, "cannot compare 'policy:'"),
-        ({"compare": ("policy", "policy:default")}, "compare names policy:default 2 times"),
     ],
 )
 def test_bad_settings_are_refused(changes, message):
     with pytest.raises(ConfigurationError, match=f"^[^\n]*{re.escape(message)}"):
-        ReproduceConfig(**changes)
+        options(ReproduceConfig, **changes)
 
 
 def test_durations_that_no_result_stumbles_over_are_taken():
-    assert ReproduceConfig(duration=26.0).steps == 260
-    assert ReproduceConfig(what="fig3", duration=5.1).steps == 51
+    assert options(ReproduceConfig, duration=26.0).scenario.steps == 260
+    assert options(ReproduceConfig, what="fig3", duration=5.1).scenario.steps == 51
 
 
-def test_a_bad_folder_is_refused_before_anything_runs(tmp_path, console):
+def test_a_bad_folder_is_refused_before_anything_runs(tmp_path, listener):
     file = tmp_path / "file"
     file.touch()
     with pytest.raises(TriformError, match="cannot write"):
-        reproduce(ReproduceConfig(controller="expert", output=file), console)
+        run_reproduce(options(ReproduceConfig, controller="expert", output=file), listener)
     with pytest.raises(TriformError, match="cannot write"):
-        run_demo(DemoConfig(controller="expert", output=file / "sub"), console)
+        run_demo(options(DemoConfig, controller="expert", output=file / "sub"), listener)
 
 
-def test_demo_prints_measures_and_the_paths_it_wrote(tmp_path, console):
-    config = DemoConfig(controller="expert-sensed", robots=4, duration=6.0, output=tmp_path)
-    paths = run_demo(config, console)
+def test_demo_prints_measures_and_the_paths_it_wrote(tmp_path, listener):
+    config = options(DemoConfig, controller="expert-sensed", robots=4, duration=6.0, output=tmp_path)
+    paths = run_demo(config, listener)
     assert [path.name for path in paths] == ["demo.png", "demo.gif", "demo.json"]
-    shown = console.file.getvalue()
+    shown = listener.console.file.getvalue()
     for path in paths:
         assert path.exists()
         assert str(path) in shown
@@ -198,12 +185,12 @@ def test_demo_prints_measures_and_the_paths_it_wrote(tmp_path, console):
     assert json.loads(paths[2].read_text())["results"][0]["robots"] == 4
 
 
-def test_demo_shows_any_run_of_an_evaluation(tmp_path, console):
+def test_demo_shows_any_run_of_an_evaluation(tmp_path, listener):
     scenario = {"controller": "expert-sensed", "duration": 6.0}
-    evaluated = evaluate(EvaluateConfig(robots=(5,), runs=3, seed=4, **scenario))
-    config = DemoConfig(robots=5, seed=4, index=2, output=tmp_path, **scenario)
-    run_demo(config, console)
+    evaluated = evaluate(options(EvaluateConfig, robots=(5,), runs=3, seed=4, **scenario))
+    config = options(DemoConfig, robots=5, seed=4, index=2, output=tmp_path, **scenario)
+    run_demo(config, listener)
     shown = json.loads((tmp_path / "demo.json").read_text())["results"][0]
     assert shown["formation_error_median"] == evaluated.runs["formation_error"][2]
     with pytest.raises(ConfigurationError, match="index"):
-        DemoConfig(index=-1)
+        options(DemoConfig, index=-1)

@@ -8,9 +8,9 @@ from PIL import Image
 
 from tests.formations import hexagon, still
 from triform.evaluation import measure
-from triform.evaluation.metrics import concatenate, summarise
+from triform.evaluation.metrics import concatenate
 from triform.figures.animation import animate
-from triform.figures.runs import Scene, TeamChange, comparison_figure, figure_3, figure_4, figure_5, run_figure
+from triform.figures.runs import Scene, TeamChange, figure_3, figure_4, figure_5, run_figure
 from triform.figures.style import (
     bounds,
     edge_lines,
@@ -102,16 +102,6 @@ def test_figure_5_draws_who_came_and_who_went(tmp_path, scene):
         TeamChange(after.then(earlier), 6.0, "7 → 6 robots"),
     ]
     assert_picture(save_figure(figure_5(changes, scene), tmp_path / "fig5.png"))
-
-
-def test_comparison_has_a_series_per_controller_and_a_panel_per_measure(tmp_path):
-    good, bad = measure(still([hexagon()] * 2)), measure(still([1.5 * hexagon()] * 2))
-    results = {"expert": [{"robots": 7, **summarise(good)}], "policy:x": [{"robots": 7, **summarise(bad)}]}
-    figure = comparison_figure(results)
-    assert len(figure.axes) == 6
-    success = {line.get_label(): line.get_ydata()[0] for line in figure.axes[0].get_lines()}
-    assert (success["expert"], success["policy:x"]) == (100, 0)
-    assert_picture(save_figure(figure, tmp_path / "comparison.png"))
 
 
 def test_an_interrupted_drawing_leaves_the_old_picture(tmp_path, scene, monkeypatch):

@@ -9,10 +9,11 @@ from matplotlib.collections import LineCollection, PolyCollection
 from PIL import Image
 
 from tests.formations import hexagon, still
+from tests.options import options
 from triform.evaluation import measure, paper
 from triform.evaluation.metrics import concatenate
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.experiments.reproduce import ReproduceConfig, reproduce
+from triform.experiments.reproduce import ReproduceConfig, run_reproduce
 from triform.figures.paper import figure_2, figure_9, snapshot_records
 from triform.figures.style import plt, save_figure
 
@@ -71,11 +72,11 @@ def test_figure_9_has_a_box_for_every_team_size():
     plt.close(figure)
 
 
-def test_figure_9_shows_an_evaluation_of_the_hardware_profile(tmp_path, console):
+def test_figure_9_shows_an_evaluation_of_the_hardware_profile(tmp_path, listener):
     scenario = {"controller": "expert", "duration": 6.0, "runs": 3, "seed": 5}
-    reproduce(ReproduceConfig(what="fig9", output=tmp_path, **scenario), console)
+    run_reproduce(options(ReproduceConfig, what="fig9", output=tmp_path, **scenario), listener)
     found = json.loads((tmp_path / "fig9.json").read_text())
-    expected = evaluate(EvaluateConfig(robots=(4,), profile="hardware", **scenario))
+    expected = evaluate(options(EvaluateConfig, robots=(4,), profile="hardware", **scenario))
     assert found["results"][0]["formation_error_median"] == expected.results[0]["formation_error_median"]
     assert found["paper"] == {"robots": 4, "formation_error_median": 0.09, "converge_time_median": 14.0}
     page = (tmp_path / "index.md").read_text()

@@ -12,13 +12,14 @@ from PIL import Image
 from shapely import affinity
 
 from tests.formations import hexagon, still
+from tests.options import options
 from triform.evaluation import Trajectory, summarise
 from triform.evaluation.metrics import measure
-from triform.evaluation.overrides import FOOTPRINTS
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.figures.recorded import figure_7, figure_8
 from triform.figures.style import plt
-from triform.recordings.measure import RecordedConfig, any_overlap, run_evaluate
+from triform.recordings.measure import MeasureConfig, any_overlap, run_measure
+from triform.simulation import FOOTPRINTS
 from triform.types import ConfigurationError, TriformError
 
 
@@ -32,11 +33,11 @@ def teams(tmp_path):
     return tmp_path / "seven.npy", tmp_path / "two.npy"
 
 
-def test_files_hold_the_form_of_an_evaluation_and_every_run(tmp_path, console, teams):
-    config = RecordedConfig(recording=teams, rate=10, json=tmp_path / "deep" / "out.json", figures=tmp_path / "figures")
-    found = run_evaluate(config, console)
+def test_files_hold_the_form_of_an_evaluation_and_every_run(tmp_path, listener, teams):
+    config = MeasureConfig(teams, rate=10, json=tmp_path / "deep" / "out.json", figures=tmp_path / "figures")
+    found = run_measure(config, listener)
     written = json.loads((tmp_path / "deep" / "out.json").read_text())
-    driven = evaluate(EvaluateConfig(controller="expert", robots=(2,), runs=1, duration=6.0))
+    driven = evaluate(options(EvaluateConfig, controller="expert", robots=(2,), runs=1, duration=6.0))
     assert set(written) == set(driven.as_json())
     assert set(written["results"][0]) == set(driven.as_json()["results"][0])
     # The robots of one team are out of each other's sight, so it is reported apart.
@@ -53,54 +54,41 @@ def test_files_hold_the_form_of_an_evaluation_and_every_run(tmp_path, console, t
     for name in ("fig7.png", "fig8.png", "fig9.png"):
         with Image.open(tmp_path / "figures" / name) as image:
             assert np.asarray(image.convert("L")).std() > 5
-    assert "fig9.png" in console.file.getvalue()
+    assert "fig9.png" in listener.console.file.getvalue()
 
 
-def test_comings_and_goings_are_told(tmp_path, console):
+def test_comings_and_goings_are_told(tmp_path, listener):
     poses = still([hexagon()]).poses[0]
     poses[40:, 6] = np.nan
     np.save(tmp_path / "run.npy", poses)
-    evaluation = run_evaluate(RecordedConfig(recording=(tmp_path / "run.npy",), rate=10), console)
-    assert "robot 6 goes at 3.90 s" in console.file.getvalue().replace("\n", " ")
+    evaluation = run_measure(MeasureConfig((tmp_path / "run.npy",), rate=10), listener)
+    assert "robot 6 goes at 3.90 s" in listener.console.file.getvalue().replace("\n", " ")
     assert evaluation.runs["robots"].tolist() == [6]
 
 
-def test_without_recordings_it_is_an_evaluation(console):
-    options = {"controller": "expert", "robots": (3,), "runs": 1, "duration": 6.0, "threads": 1}
-    found, expected = run_evaluate(RecordedConfig(**options), console), evaluate(EvaluateConfig(**options))
-    assert found.config == expected.config
-    for name, column in expected.runs.items():
-        np.testing.assert_array_equal(found.runs[name], column)
-
-
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("chosen", "says"),
     [
-        ({"figures": "figures"}, "figures is only for recorded runs"),
-        ({"rate": 10.0}, "rate is only for recorded runs"),
-        ({"recording": ("a.csv",), "controller": "expert"}, "controller does not go with recording"),
-        ({"recording": ("a.csv",), "starts": "a.npy"}, "starts does not go with recording"),
-        ({"recording": ("a.npy",)}, "rate is missing"),
-        ({"recording": ("a.csv",), "rate": 10.0}, "rate is 10.0 Hz; it is only for recordings in .npy"),
-        ({"recording": ("a.npy",), "rate": 0.0}, "rate is 0.0 Hz; it must be positive"),
-        ({"recording": ("a.csv",), "start": -1.0}, "start is -1.0 s"),
-        ({"recording": ("a.csv",), "start": 5.0, "end": 5.0}, "end is 5.0 s; it must be later than start"),
+        ({"files": ()}, "no file is named"),
+        ({"files": ("a.csv",), "footprint": "moon"}, "footprint is 'moon'"),
+        ({"files": ("a.npy",)}, "rate is missing"),
+        ({"files": ("a.csv",), "rate": 10.0}, "rate is 10.0 Hz; it is only for recordings in .npy"),
+        ({"files": ("a.npy",), "rate": 0.0}, "rate is 0.0 Hz; it must be positive"),
+        ({"files": ("a.csv",), "start": -1.0}, "start is -1.0 s"),
+        ({"files": ("a.csv",), "start": 5.0, "end": 5.0}, "end is 5.0 s; it must be later than start"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(tmp_path, options, says):
-    paths = {key: tuple(map(tmp_path.joinpath, options[key])) for key in ("recording",) if key in options}
+def test_options_that_do_not_go_together_are_refused(tmp_path, chosen, says):
+    files = tuple(map(tmp_path.joinpath, chosen["files"]))
     with pytest.raises(ConfigurationError, match=says):
-        RecordedConfig(**(options | paths))
+        MeasureConfig(**(chosen | {"files": files}))
 
 
-def test_unknown_footprints_and_places_are_found_before_anything_is_read(tmp_path, console):
-    config = RecordedConfig(recording=(tmp_path / "none.csv",), footprint="moon")
-    with pytest.raises(TriformError, match="there is no footprint 'moon'"):
-        run_evaluate(config, console)
+def test_places_that_cannot_be_written_are_found_before_anything_is_read(tmp_path, listener):
     (tmp_path / "file").write_text("")
-    config = RecordedConfig(recording=(tmp_path / "none.csv",), figures=tmp_path / "file")
+    config = MeasureConfig((tmp_path / "none.csv",), figures=tmp_path / "file")
     with pytest.raises(TriformError, match="cannot write to the output folder"):
-        run_evaluate(config, console)
+        run_measure(config, listener)
 
 
 def outline(pose, footprint):

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from triform.evaluation import Scenario, Trajectory, measure
-from triform.evaluation.scenario import world_seeds
 from triform.recordings.motive import axes_of_euler, axes_of_quaternion
 from triform.recordings.resample import read_recordings
 from triform.types import TriformError
@@ -21,8 +20,8 @@ EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 
 @functools.cache
 def driven():
-    scenario = Scenario(controller="expert-sensed", profile="hardware", duration=8.0, threads=1)
-    return scenario.run(scenario.draw_starts(4, 1, 3), world_seeds(4, 3, range(1)))[0]
+    scenario = Scenario(profile="hardware", duration=8.0)
+    return scenario.run(scenario.sample_starts(4, 1, 3), "expert-sensed", seed=3)[0]
 
 
 def in_motive(poses):

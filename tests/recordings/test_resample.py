@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from triform.evaluation import Scenario, measure
 from triform.evaluation.rollout import Trajectory
-from triform.evaluation.scenario import world_seeds
 from triform.experiments.reproduce import trajectory_table
 from triform.recordings.formats import RawRun, make_track
 from triform.recordings.resample import LONGEST_GAP, even_out, read_recordings
@@ -22,8 +21,8 @@ from triform.types import TriformError
 @functools.cache
 def driven(robots=4, runs=2):
     """Runs of the built-in world, which record at 8 Hz."""
-    scenario = Scenario(controller="expert-sensed", profile="hardware", duration=8.0, threads=1)
-    return scenario.run(scenario.draw_starts(robots, runs, 3), world_seeds(robots, 3, range(runs)))[0]
+    scenario = Scenario(profile="hardware", duration=8.0)
+    return scenario.run(scenario.sample_starts(robots, runs, 3), "expert-sensed", seed=3)[0]
 
 
 def rows_of(trajectory):

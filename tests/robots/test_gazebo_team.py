@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.options import options
 from triform.cli import main
 from triform.control import drive, make_controller
-from triform.evaluation.scenario import Scenario, world_seeds
-from triform.experiments.dynamic import ChangedRuns, DynamicConfig, run_changes
-from triform.experiments.evaluate import EvaluateConfig, evaluate, start_groups
+from triform.evaluation.events import Event
+from triform.evaluation.scenario import Scenario
+from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.robots.gazebo import GazeboServer, GazeboTeam, Installation
 from triform.robots.gazebo.sdf import MAX_ACCELERATION
 from triform.simulation import HARDWARE, IDEAL, Arena, World, sample_starts
@@ -143,7 +144,8 @@ def test_wrong_use_is_refused_in_a_sentence(gazebo):
 @pytest.mark.parametrize("drive", ["planar", "mecanum"])
 def test_an_evaluation_is_the_same_each_time_and_forms_teams(gazebo: Installation, drive):
     runs, duration = (3, 12.0) if drive == "planar" else (2, 6.0)
-    config = EvaluateConfig(robots=(4,), runs=runs, duration=duration, team="gazebo", drive=drive, threads=2)
+    given = {"duration": duration, "simulator": "gazebo", "gazebo_base": drive, "threads": 2}
+    config = options(EvaluateConfig, robots=(4,), runs=runs, **given)
     first, second = evaluate(config), evaluate(config)
     for name, column in first.runs.items():
         np.testing.assert_array_equal(column, second.runs[name])
@@ -151,19 +153,20 @@ def test_an_evaluation_is_the_same_each_time_and_forms_teams(gazebo: Installatio
     if drive == "planar":
         assert first.runs["success"].all()
     # A run does not depend on those before it in the same process.
-    poses, last = start_groups(config)[0].poses, runs - 1
-    alone, _ = config.run(poses[last:], world_seeds(4, config.seed, [last]))
-    together, _ = config.run(poses, world_seeds(4, config.seed, range(runs)))
+    scenario, last = config.scenario, runs - 1
+    poses = scenario.sample_starts(4, runs, config.seed)
+    alone, _ = scenario.run(poses[last:], seed=config.seed, indices=[last])
+    together, _ = scenario.run(poses, seed=config.seed)
     np.testing.assert_array_equal(alone.poses[0], together.poses[last])
     assert subprocess.run(["pgrep", "-P", str(os.getpid()), "gzserver"], capture_output=True, check=False).stdout == b""
 
 
-@pytest.mark.parametrize("change", ["addition", "removal"])
-def test_teams_change(gazebo, change):
-    config = DynamicConfig(robots=4, runs=2, change_time=8.0, duration=20.0, team="gazebo")
-    trajectory, table = run_changes(config, config.make_controller(), ChangedRuns(change, 0, 2))
+@pytest.mark.parametrize("kind", ["join", "leave"])
+def test_teams_change(gazebo, kind):
+    scenario = Scenario(duration=20.0, simulator="gazebo", event=Event(kind, 8.0))
+    trajectory, table = scenario.run(scenario.sample_starts(4, 2, 7))
     assert trajectory.active[:, 0].sum(axis=1).tolist() == [4, 4]
-    after = 5 if change == "addition" else 3
+    after = 5 if kind == "join" else 3
     assert trajectory.active[:, -1].sum(axis=1).tolist() == [after, after]
     assert table["robots"].tolist() == [after, after]
     assert table["success"].all()
@@ -171,7 +174,7 @@ def test_teams_change(gazebo, change):
 
 def test_wheels_need_gazebo_and_gazebo_needs_to_be_there(tmp_path, monkeypatch, capsys):
     with pytest.raises(ConfigurationError, match="wheels"):
-        Scenario(drive="mecanum")
+        Scenario(gazebo_base="mecanum")
     monkeypatch.setenv("TRIFORM_GAZEBO", str(tmp_path))
-    assert main(["evaluate", "--team", "gazebo", "--robots", "3", "--runs", "1", "--threads", "1"]) == 1
+    assert main(["evaluate", "--simulator", "gazebo", "--robots", "3", "--runs", "1", "--threads", "1"]) == 1
     assert "make gazebo" in capsys.readouterr().err

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from triform.control import ControllerSpec
 from triform.evaluation.scenario import Scenario
 from triform.robots.ldrobot import LD20, PacketParser, TurnAssembler
 from triform.timing import robot as robot_bench
@@ -62,12 +63,12 @@ def test_every_stage_is_timed(views, tmp_path):
 
 
 @pytest.mark.slow
-def test_bench_needs_nothing_but_the_base_install(tmp_path, console):
-    run_bench(BenchConfig(robot=True, seconds=0.1, json=tmp_path / "bench.json"), console)
+def test_bench_needs_nothing_but_the_base_install(tmp_path, listener):
+    run_bench(BenchConfig(seconds=0.1, json=tmp_path / "bench.json"), listener)
     found = json.loads((tmp_path / "bench.json").read_text())
     assert found["start_compiling"]["first"] > found["start"]["first"]
     assert found["machine"]["packages"]["onnxruntime"] != "not installed"
-    shown = console.file.getvalue()
+    shown = listener.console.file.getvalue()
     assert "keep up with 8 Hz" in shown or "keeps up with 8 Hz" in shown
 
 
@@ -88,7 +89,7 @@ def test_a_stage_that_is_too_slow_is_named():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"robot": False}, "say what to time"),
+        ({"controller": ControllerSpec("expert")}, "controller is 'expert'; the bench times a policy"),
         ({"rate": 0.0}, "rate is 0.0 Hz"),
         ({"seconds": 0.0}, "seconds is 0.0"),
         ({"seed": -1}, "seed is -1"),
@@ -97,15 +98,15 @@ def test_a_stage_that_is_too_slow_is_named():
 )
 def test_bad_settings_are_refused(changes, message):
     with pytest.raises(ConfigurationError, match=f"^[^\n]*{message}"):
-        BenchConfig(**({"robot": True} | changes))
+        BenchConfig(**changes)
 
 
-def test_weights_that_are_not_there_are_refused_first(console):
+def test_weights_that_are_not_there_are_refused_first(listener):
     with pytest.raises(TriformError, match="there is no policy 'none'"):
-        run_bench(BenchConfig(robot=True, weights="none"), console)
+        run_bench(BenchConfig(controller=ControllerSpec("policy", "none")), listener)
 
 
-def test_a_process_that_fails_is_told_of_in_one_sentence(console, monkeypatch, tmp_path):
+def test_a_process_that_fails_is_told_of_in_one_sentence(listener, monkeypatch, tmp_path):
     monkeypatch.setattr(robot_bench.sys, "executable", "false")
     with pytest.raises(TriformError, match="failed with status 1: it said nothing"):
-        robot_bench._measure(BenchConfig(robot=True), tmp_path, 0.0)
+        robot_bench._measure(BenchConfig(), tmp_path, 0.0)

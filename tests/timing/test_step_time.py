@@ -5,9 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from triform.control import CONTROLLERS, make_controller, shipped_weights
+from triform.control import CONTROLLERS, ControllerSpec, make_controller, shipped_weights
 from triform.evaluation.scenario import Scenario
-from triform.experiments.reproduce_config import Contestant
 from triform.timing.step_time import (
     TEAM,
     count_parameters,
@@ -76,8 +75,8 @@ def test_parameters_are_those_of_the_weights(name):
     folder = shipped_weights()[name]
     tensors = safetensors.load_file(folder / "model.safetensors")
     assert count_parameters(folder) == sum(tensor.size for tensor in tensors.values())
-    assert network_size(Contestant("policy", name)) == count_parameters(folder)
-    assert network_size(Contestant("expert")) is None
+    assert network_size(ControllerSpec("policy", name)) == count_parameters(folder)
+    assert network_size(ControllerSpec("expert")) is None
 
 
 def test_weights_that_cannot_be_read_are_refused(tmp_path):

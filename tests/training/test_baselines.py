@@ -11,7 +11,7 @@ from triform.control import TriangulatingLaw
 from triform.dataset import SceneConfig, StateBuffer, fresh_inputs
 from triform.policy import CnnConfig, GnnConfig, Network, NetworkConfig, RadiusGraph
 from triform.policy.export import export_policy
-from triform.training import TrainConfig, batches, get_preset, train, visits
+from triform.training import TrainConfig, batches, dagger, get_preset, train
 from triform.training.batches import TrainBatch, open_source
 from triform.training.dagger import Rollouts
 from triform.training.flat import FlatParameters
@@ -70,10 +70,10 @@ def test_one_batch_can_be_learned_by_heart(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["cnn", "gnn"])
 def test_training_visits_exports_and_continues(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = (Rollouts(4, 3, 3.0),)
-    teacher = visits.teacher_states
-    monkeypatch.setattr(visits, "teacher_states", lambda law, seed: teacher(law, seed, few))
-    learner = visits.learner_states
-    monkeypatch.setattr(visits, "learner_states", lambda *given: learner(*given, few))
+    teacher = dagger.teacher_states
+    monkeypatch.setattr(dagger, "teacher_states", lambda law, seed: teacher(law, seed, few))
+    learner = dagger.learner_states
+    monkeypatch.setattr(dagger, "learner_states", lambda *given: learner(*given, few))
     config = tiny(kind)
     best = train(config, tmp_path / "run")
     states = [StateBuffer.load(tmp_path / "run" / f"visited-{number}.npz") for number in range(2)]

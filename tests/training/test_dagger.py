@@ -20,7 +20,7 @@ from triform.dataset import SceneConfig, StateBuffer, joined
 from triform.policy import NetworkConfig
 from triform.policy.vit import VisionTransformer
 from triform.simulation import World, get_profile
-from triform.training import PRESETS, Progress, TrainConfig, batches, train, visits
+from triform.training import PRESETS, Progress, TrainConfig, batches, dagger, train
 from triform.training.batches import SceneSource
 from triform.training.dagger import Rollouts, learner_states, teacher_states
 from triform.types import ConfigurationError, TriformError
@@ -43,8 +43,8 @@ TINY = TrainConfig(
 
 
 def small_visits(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(visits, "teacher_states", partial(teacher_states, visits=TEACHER))
-    patch.setattr(visits, "learner_states", partial(learner_states, visits=LEARNER))
+    patch.setattr(dagger, "teacher_states", partial(teacher_states, visits=TEACHER))
+    patch.setattr(dagger, "learner_states", partial(learner_states, visits=LEARNER))
     patch.setattr(batches, "VALIDATION_MAPS", 100)
 
 
@@ -117,7 +117,7 @@ def test_a_resumed_training_visits_nothing_again(tmp_path: Path, monkeypatch: py
     with pytest.raises(KeyboardInterrupt):
         train(TINY, tmp_path, report=stop_at(24), save_seconds=0.0)
     for name in ("teacher_states", "learner_states"):
-        monkeypatch.setattr(visits, name, never)
+        monkeypatch.setattr(dagger, name, never)
     train(TINY, tmp_path, resume=True)
 
 
@@ -146,13 +146,13 @@ def teams(states: StateBuffer) -> list[np.ndarray]:
 
 def test_teacher_states_are_where_the_law_takes_teams(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[World] = []
-    monkeypatch.setattr(visits, "World", lambda *given, **named: made.append(World(*given, **named)) or made[-1])
+    monkeypatch.setattr(dagger, "World", lambda *given, **named: made.append(World(*given, **named)) or made[-1])
     law = TriangulatingLaw(gain=1.5)
     states = teams(teacher_states(law, 5, (Rollouts(3, 5, 2.0), Rollouts(4, 1, 1.0))))
     # Two runs of three robots undisturbed, two a little and one more; one of four robots.
     assert [len(world.poses) for world in made] == [2, 2, 1, 1]
     assert [len(team) for team in states] == [3] * 5 * 5 + [4] * 3
-    began = visits.starts(3, 2, int(np.random.SeedSequence([5, 0, 0]).generate_state(1, np.uint64)[0]))
+    began = dagger.starts(3, 2, int(np.random.SeedSequence([5, 0, 0]).generate_state(1, np.uint64)[0]))
     seeds = np.random.SeedSequence([5, 0, 1, 3]).spawn(2)
     world = World(began, get_profile("ideal"), seeds=seeds)
     alone = [world.poses[..., :2]]

@@ -11,7 +11,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from triform.control import SafetyFilter, SafetySettings, drive, make_controller, weights_folder
+from triform.control import ControllerSpec, SafetyFilter, SafetySettings, drive, make_controller, weights_folder
 from triform.control.detection import ROBOMASTER_EP_SIZE
 from triform.policy import read_spec
 from triform.robots.real import RealRobot
@@ -101,8 +101,9 @@ class Controlled:
         )
 
     def _make_controller(self, given: dict[str, Any]) -> Controller[View]:
-        weights = given["weights"] or None
-        controller = make_controller(given["controller"], given["distance"], weights, footprint=self._footprint)
+        name, weights = given["controller"], given["weights"]
+        spec = ControllerSpec.parse(f"{name}:{weights}" if weights else name)
+        controller = make_controller(spec, given["distance"], footprint=self._footprint)
         if controller.privileged:
             raise TriformError(
                 f"the controller {given['controller']!r} needs everybody's true pose, which no robot knows; "

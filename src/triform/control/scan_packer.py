@@ -53,7 +53,7 @@ def _pack_scans(
 
 
 class _Workspace:
-    """Working room of one thread."""
+    """Workspace of one thread."""
 
     def __init__(self, size: int, patch: int) -> None:
         per_map = (size // patch) ** 2
@@ -67,7 +67,7 @@ class _Workspace:
 
 
 class ScanPacker:
-    """Packs the occupancy maps of scans that share one configuration; each thread keeps its working room."""
+    """Packs the occupancy maps of scans that share one configuration; each thread keeps its workspace."""
 
     def __init__(self, scan: ScanConfig, config: MapConfig, patch: int, keep: Keep = "occupied") -> None:
         """Prepare for scans.

@@ -83,7 +83,7 @@ def triangulate(x, y, count, law, linked, terms, facts):
             (FEATURES,).
 
     Returns:
-        Mean velocity (v_x, v_y) and the standard deviation along each axis of the random push upon it [d*/s].
+        Mean velocity (v_x, v_y) and the standard deviation along each axis of the exploration noise upon it [d*/s].
     """
     (
         sight, contact_gain, contact_range, gain, yield_strain, yield_slope, far_range, far_gain, odd_gain,

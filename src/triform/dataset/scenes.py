@@ -165,7 +165,7 @@ def longest_team(offsets, sizes):
 
 @kernel
 def label_workspace(longest):
-    """Working room of ``label_robot`` for teams of up to ``longest`` robots."""
+    """Workspace of ``label_robot`` for teams of up to ``longest`` robots."""
     return (
         np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest),
         np.empty((longest, longest), dtype=np.bool_), np.empty((longest, EDGE_TERMS)),

@@ -17,8 +17,6 @@ from triform.figures.style import (
     GREY,
     INK,
     ORANGE,
-    PURPLE,
-    SKY,
     VERMILLION,
     Axes,
     Figure,
@@ -194,48 +192,6 @@ def figure_4(runs: RunTable, controller: str) -> Figure:
             axes.set_xlabel("robots")
             axes.grid(visible=False, axis="x")
         _legend_4(figure, controller)
-    return figure
-
-
-#: Heading, key in a summary, factor, unit and least upper limit of the panels that compare controllers.
-_COMPARED = (
-    ("success", "success", 100, "runs [%]", 100),
-    ("strict", "strict", 100, "runs [%]", 100),
-    ("compactness", "compactness_mean", 100, "mean [%]", 100),
-    ("formation error", "formation_error_median", 100, "median [%]", 1),
-    ("converge time", "converge_time_median", 1, "median [s]", 10),
-    ("overlap", "collision", 100, "runs [%]", 10),
-)
-#: So many controllers can be told apart by colour and marker; more share them.
-_SERIES = tuple(zip((BLUE, SKY, INK, VERMILLION, ORANGE, GREEN, PURPLE, GREY), "osD^vPX*", strict=True))
-
-
-def comparison_figure(results: dict[str, list[dict[str, Any]]]) -> Figure:
-    """Draw measures over team size, one series per controller.
-
-    Args:
-        results: Summaries of every controller, one per team size, by its name.
-    """
-    sizes = sorted({int(summary["robots"]) for summaries in results.values() for summary in summaries})
-    with figure_style():
-        figure, panels = plt.subplots(2, 3, figsize=(10.2, 5.6))
-        for letter, axes, (title, key, factor, unit, least) in zip("abcdef", panels.flat, _COMPARED, strict=True):
-            for index, (label, summaries) in enumerate(results.items()):
-                colour, marker = _SERIES[index % len(_SERIES)]
-                # Side by side, because many values are equal.
-                aside = 0.09 * (index - (len(results) - 1) / 2)
-                places = [sizes.index(summary["robots"]) + aside for summary in summaries]
-                values = [factor * summary[key] for summary in summaries]
-                axes.plot(places, values, lw=0.7, color=colour, alpha=0.5)
-                axes.plot(places, values, marker, color=colour, ms=5, mew=0, label=label, clip_on=False, zorder=3)
-            axes.set_xticks(range(len(sizes)), [str(robots) for robots in sizes])
-            axes.set_ylim(0, max(least, 1.05 * axes.get_ylim()[1]) if least < 100 else 102)
-            axes.set_title(f"{letter}  {title}", loc="left")
-            axes.set_xlabel("robots")
-            axes.set_ylabel(unit)
-            axes.grid(visible=False, axis="x")
-        handles, labels = panels.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 

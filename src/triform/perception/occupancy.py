@@ -95,7 +95,7 @@ def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells
         min_cells: Smaller groups are dropped.
         max_cells: Larger groups are dropped.
         grid: Working grid of ``map_workspace``, shape (H + 2, H + 2); left as it was.
-        scratch: Working room of ``map_workspace``, int32, shape (2, H * H).
+        scratch: Workspace of ``map_workspace``, int32, shape (2, H * H).
         cells: Flat indices ``row * H + column`` of the occupied cells, int32, shape (H * H,); filled from the
             front, in no particular order.
 

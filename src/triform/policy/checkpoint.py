@@ -36,8 +36,8 @@ class PolicySpec:
         distance: Prescribed neighbour distance d* of its training [m], for which ``scan`` and ``map`` hold.
         distances: Least and largest d* for which it was trained [m], if not for one alone: lengths and speeds are then
             those of ``distance``, and are scaled to another d*.
-        rest_speed: Slower commands, random push included, are none [m/s].
-        least_push: Smaller amplitudes of the random push are none [m/s].
+        rest_speed: Slower commands, exploration noise included, are none [m/s].
+        least_push: Smaller amplitudes of the exploration noise are none [m/s].
         search_push: Amplitude of the push of a robot that sees nobody [m/s]; 0 asks the network.
         training: How it was trained, for the record: preset, teacher, seed, maps.
         weights_sha256: Checksum of the weights that belong to this description.

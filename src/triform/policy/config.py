@@ -19,7 +19,7 @@ class NetworkConfig:
         depth: Encoder layers.
         heads: Attention heads.
         mlp: Hidden width of the encoder's and the output's MLPs.
-        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of a random push.
+        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of a exploration noise.
         attention: ``occupied`` computes only the patches that hold something; ``all`` is the paper's own variant.
     """
 
@@ -75,7 +75,7 @@ class CnnConfig:
         squeeze: Channels of the grid that the map's features are read from.
         dim: Features of a map.
         mlp: Hidden width of the output's MLP.
-        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of a random push.
+        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of a exploration noise.
     """
 
     map_size: int = 100
@@ -132,7 +132,7 @@ class GnnConfig:
         dim: Numbers that a robot sends, and that describe an edge.
         rounds: Rounds of messages.
         mlp: Hidden width of all MLPs.
-        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of a random push.
+        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of a exploration noise.
         reach: Robots within this distance hear each other [d*]; 2.1 is how far a LiDAR of 2 d* shows centres of robots.
     """
 

@@ -119,7 +119,7 @@ def _fill_maps(patches, positions, counts, token, patch, maps):
 
 
 class _Workspace(threading.local):
-    """Working room, one for each thread; it grows with the largest batch."""
+    """Workspace, one for each thread; it grows with the largest batch."""
 
     def __init__(self, patches: int, cells: int) -> None:
         slots = max(_TOKENS_AT_ONCE, patches + 1)

@@ -26,7 +26,7 @@ from triform.control import (
     reaction_time,
     weights_folder,
 )
-from triform.control.detection import ROBOMASTER_EP_SIZE, detect_robots
+from triform.control.detection import detect_robots
 from triform.policy import PolicyRuntime
 from triform.robots.drive_status import Budget, StatusLine
 from triform.robots.ldrobot import MODELS, LidarModel, LidarPort
@@ -35,7 +35,7 @@ from triform.robots.recorder import Recorder
 from triform.robots.robomaster import USB_ADDRESS, WIFI_ADDRESS, RoboMaster
 from triform.robots.screen import Screen
 from triform.robots.stop_signals import StopSignals
-from triform.simulation import HARDWARE, Drive
+from triform.simulation import Drive, Footprint, Profile, get_profile
 from triform.threads import limit_threads
 from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, require
 
@@ -57,7 +57,8 @@ class DriveConfig:
             or a class of your own as FILE.py:CLASS.
         distance: Prescribed neighbour distance d* [m]; the same on all robots.
         rate: Commands per second [Hz].
-        max_speed: Largest speed along x and along y [m/s].
+        profile: Robot profile, whose footprint, speed, lag and latency hold: a name or a TOML file.
+        max_speed: Largest speed along x and along y [m/s]; the profile's if omitted.
         max_turn_rate: Largest turn rate [rad/s].
         watchdog: How long the base holds a command, and how late its answer may be [s]; longer than a control period.
         duration: How long to drive [s]; until Ctrl-C if omitted.
@@ -65,9 +66,10 @@ class DriveConfig:
         record: Folder for a recording.
         robot: Number of this robot in the recording.
         start_pose: Where it starts in the recording, x, y and heading [m, m, rad].
-        seed: Of its random pushes, different on every robot; drawn anew every time if omitted.
+        seed: Of its exploration noise, different on every robot; drawn anew every time if omitted.
         mounting: Direction of the LiDAR's own zero in the robot's frame, counter-clockwise [rad].
-        footprint: Length and width of the robots [m].
+        footprint: Outline of the robots: a name such as ep, circle:0.30 (diameter) or box:0.41x0.24 [m]; the profile's
+            if omitted.
         odometry: Whether to use the odometry of the wheels.
         guard: Whether a layer between controller and wheels keeps the robot from driving into what its scan shows.
     """
@@ -80,7 +82,8 @@ class DriveConfig:
     controller: ControllerSpec = POLICY
     distance: float = 1.0
     rate: float = 8.0
-    max_speed: float = HARDWARE.drive.max_axis_speed
+    profile: str = "hardware"
+    max_speed: float | None = None
     max_turn_rate: float = 1.0
     watchdog: float = 0.3
     duration: float | None = None
@@ -90,7 +93,7 @@ class DriveConfig:
     start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     seed: int | None = None
     mounting: float = 0.0
-    footprint: tuple[float, float] = ROBOMASTER_EP_SIZE
+    footprint: str | None = None
     odometry: bool = True
     guard: bool = True
 
@@ -102,7 +105,8 @@ class DriveConfig:
             f"of the {self.model.range_max:g} m that its LiDAR reaches",
         )
         require(0 < self.rate < math.inf, f"rate is {self.rate} Hz; it must be positive and finite")
-        require(0 < self.max_speed < math.inf, f"max_speed is {self.max_speed} m/s; it must be positive and finite")
+        speed = self.speed
+        require(0 < speed < math.inf, f"max_speed is {speed} m/s; it must be positive and finite")
         require(
             0 < self.max_turn_rate < math.inf,
             f"max_turn_rate is {self.max_turn_rate} rad/s; it must be positive and finite",
@@ -119,7 +123,23 @@ class DriveConfig:
         require(self.seed is None or self.seed >= 0, f"seed is {self.seed}; it must not be negative")
         require(all(map(math.isfinite, self.start_pose)), f"start_pose is {self.start_pose}; it must be finite")
         require(math.isfinite(self.mounting), f"mounting is {self.mounting} rad; it must be finite")
-        _ = SafetySettings(self.footprint)
+        _ = SafetySettings(self.outline)
+
+    @property
+    def kind(self) -> Profile:
+        """The robot."""
+        return get_profile(self.profile)
+
+    @property
+    def speed(self) -> float:
+        """Largest speed along x and along y [m/s]."""
+        drive = self.kind.drive
+        return min(drive.max_speed, drive.max_axis_speed) if self.max_speed is None else self.max_speed
+
+    @property
+    def outline(self) -> tuple[float, float] | float:
+        """Length and width of the robots' box, or the diameter of a circle [m]."""
+        return (self.kind.footprint if self.footprint is None else Footprint.parse(self.footprint)).size
 
     @property
     def model(self) -> LidarModel:
@@ -144,7 +164,7 @@ class DriveConfig:
     @property
     def limits(self) -> Drive:
         """Speeds that commands are cut to."""
-        return Drive(max_axis_speed=self.max_speed, max_turn_rate=self.max_turn_rate, lag=HARDWARE.drive.lag)
+        return Drive(max_axis_speed=self.speed, max_turn_rate=self.max_turn_rate, lag=self.kind.drive.lag)
 
     def open_base(self) -> RoboMaster:
         """Connect to the base.
@@ -156,7 +176,7 @@ class DriveConfig:
             self.base_address,
             self.local_address,
             self.watchdog,
-            max_speed=self.max_speed,
+            max_speed=self.speed,
             max_turn_rate=self.max_turn_rate,
         )
 
@@ -175,7 +195,7 @@ class DriveConfig:
             runtime = PolicyRuntime(weights_folder(self.controller.weights))
             controller = LearnedPolicy(runtime, self.distance, clock)
         else:
-            controller = make_controller(self.controller, self.distance, footprint=self.footprint)
+            controller = make_controller(self.controller, self.distance, footprint=self.outline)
         if controller.privileged:
             raise TriformError(
                 f"the controller {self.controller.label!r} needs everybody's true pose, which no real robot knows; "
@@ -183,10 +203,10 @@ class DriveConfig:
             )
         if not self.guard:
             return controller
-        lag, period = HARDWARE.drive.lag, self.control_period
-        reaction = reaction_time(period, self.model.period, HARDWARE.latency, rolling=True, lag=lag)
+        lag, period = self.kind.drive.lag, self.control_period
+        reaction = reaction_time(period, self.model.period, self.kind.latency, rolling=True, lag=lag)
         limits = {"max_speed": self.limits.max_speed, "max_axis_speed": self.limits.max_axis_speed}
-        return SafetyFilter(controller, SafetySettings(self.footprint, reaction=reaction, **limits))
+        return SafetyFilter(controller, SafetySettings(self.outline, reaction=reaction, **limits))
 
 
 def run_drive(config: DriveConfig, console: Console) -> None:
@@ -220,7 +240,7 @@ def run_drive(config: DriveConfig, console: Console) -> None:
             battery = "unknown" if base.battery is None else f"{base.battery} %"
             wheels = f"the base at {config.base_address} (battery {battery})"
         screen.print(f"{config.controller.label} drives {wheels} by the LiDAR at {config.lidar}")
-        line = StatusLine(screen, config.footprint, config.dry_run)
+        line = StatusLine(screen, config.outline, config.dry_run)
 
         def tell(step: Step) -> None:
             budget.add(step)
@@ -276,5 +296,5 @@ def _stopping(base: RoboMaster | None) -> Iterator[None]:
 def _warm_up(lidar: LidarPort, controller: Controller[View], config: DriveConfig) -> None:
     """Wait for a scan and do all of a step but the wheels: compiled kernels are loaded before anything moves."""
     turn = lidar.wait(time.monotonic(), _FIRST_SCAN)
-    detect_robots(Scan(turn.ranges, config.scan), config.footprint)
+    detect_robots(Scan(turn.ranges, config.scan), config.outline)
     drive(RealRobot(lidar, None, config.control_period, 0, config.limits), controller, config.control_period)

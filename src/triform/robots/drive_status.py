@@ -110,12 +110,12 @@ class Budget:
 class StatusLine:
     """One line about the robot: four times a second on a terminal, else a new one every second."""
 
-    def __init__(self, screen: Screen, footprint: tuple[float, float], dry_run: bool) -> None:
+    def __init__(self, screen: Screen, footprint: tuple[float, float] | float, dry_run: bool) -> None:
         """Prepare the line.
 
         Args:
             screen: Where to.
-            footprint: Length and width of the robots, by which neighbours are counted [m].
+            footprint: Length and width of the robots, or the diameter of a circle, by which neighbours are counted [m].
             dry_run: Whether commands are shown only.
         """
         self._screen = screen

@@ -22,7 +22,17 @@ from triform.robots.recorder import POSE_COLUMNS, CsvLog
 from triform.robots.robomaster import RoboMasterEmulator
 from triform.robots.screen import Screen
 from triform.robots.stop_signals import StopSignals
-from triform.simulation import HARDWARE, Arena, LidarConfig, World, apply_noise, cast_rolling, get_arena, sample_starts
+from triform.simulation import (
+    Arena,
+    LidarConfig,
+    Profile,
+    World,
+    apply_noise,
+    cast_rolling,
+    get_arena,
+    get_profile,
+    sample_starts,
+)
 from triform.simulation.odometry import relative_poses
 from triform.types import SENSING_RANGE, FloatArray, ScanConfig, require
 
@@ -42,7 +52,8 @@ class EmulateConfig:
         robots: Number of robots.
         seed: The start is a function of team size, seed and index alone.
         index: Which start: run ``index`` of an evaluation with the same team size and seed.
-        arena: Name of the arena: open, room-6 or pillars.
+        profile: Robot profile: a name or a TOML file; the LiDAR's scan is that of its model.
+        arena: Arena: a name or a TOML file.
         distance: Prescribed neighbour distance d* [m]; starts grow with it.
         lidar_model: Kind of LiDAR: ld19, ld20 or ld14p.
         latency: Time by which everything that a LiDAR sends is late [s]. The default, the serial line and computing
@@ -56,6 +67,7 @@ class EmulateConfig:
     robots: int = 4
     seed: int = 7
     index: int = 0
+    profile: str = "hardware"
     arena: str = "open"
     distance: float = 1.0
     lidar_model: Literal["ld19", "ld20", "ld14p"] = "ld20"
@@ -80,6 +92,7 @@ class EmulateConfig:
             f"duration is {self.duration} s; it must be positive and finite",
         )
 
+        _ = self.kind, self.surroundings
         for name in ("address", "local_address"):
             first = getattr(self, name)
             try:
@@ -92,6 +105,11 @@ class EmulateConfig:
     def model(self) -> LidarModel:
         """The LiDAR."""
         return MODELS[self.lidar_model]
+
+    @property
+    def kind(self) -> Profile:
+        """The robots."""
+        return get_profile(self.profile)
 
     @property
     def surroundings(self) -> Arena:
@@ -112,7 +130,7 @@ class EmulateConfig:
 
 
 class Emulation:
-    """A world of the hardware profile whose robots are to be reached by their protocols.
+    """A world whose robots are to be reached by their protocols.
 
     Every sample of a LiDAR is cast at its own moment, while everybody moves, and sent ``latency`` later.
     """
@@ -125,10 +143,11 @@ class Emulation:
         """
         model = config.model
         poses = config.draw_start()[None]
-        self._noise = replace(HARDWARE.lidar, scan=model.scan_config(), noise=model.noise)
+        self._profile = config.kind
+        self._noise = replace(self._profile.lidar, scan=model.scan_config(), noise=model.noise)
         # The world only moves the robots; its own LiDAR has a single ray, and hardly ever turns.
         blind = LidarConfig(ScanConfig(rays=1), period=1e6)
-        self._world = World(poses, replace(HARDWARE, lidar=blind, time_step=STEP), config.surroundings)
+        self._world = World(poses, replace(self._profile, lidar=blind, time_step=STEP), config.surroundings)
         self._latency = config.latency
         self._start = self.poses
         self._past = deque([self._world.poses] * 2, maxlen=round(config.latency / STEP) + 2)
@@ -181,7 +200,7 @@ class Emulation:
         for robot, angles in enumerate(due):
             offsets[0, robot, : len(angles)] = angles - rays.angles[: len(angles)]
         active = self._world.active
-        scene = (HARDWARE.footprint, self._world.arena, rays, offsets)
+        scene = (self._profile.footprint, self._world.arena, rays, offsets)
         exact = cast_rolling(self._past[0], self._past[1], active, *scene)[0]
         for lidar, angles, ranges, rng in zip(self.lidars, due, exact, self._rngs, strict=True):
             lidar.emit(apply_noise(ranges[: len(angles)], self._noise, rng))

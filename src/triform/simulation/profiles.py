@@ -77,7 +77,7 @@ class Footprint:
     @property
     def label(self) -> str:
         """The outline as ``parse`` reads it."""
-        return f"circle:{self.length:g}" if self.is_circle else f"box:{self.length:g}x{self.width:g}"
+        return f"circle:{self.length!r}" if self.is_circle else f"box:{self.length!r}x{self.width!r}"
 
     @property
     def is_circle(self) -> bool:

@@ -41,7 +41,7 @@ class TrainConfig:
         scenes: Which views are drawn to learn the triangulating law; ``None`` learns an expert from demonstrations.
         law: Constants of the triangulating law.
         rest_speed: Slower commands of the policy are none [m/s].
-        least_push: Smaller amplitudes of its random push are none [m/s].
+        least_push: Smaller amplitudes of its exploration noise are none [m/s].
         search_push: Amplitude of the push of a robot that sees nobody [m/s]; 0 asks the network.
         rounds: Shares of the steps after which the learner itself drives teams, and where it went is drawn from too.
         scan: The LiDAR; in units of d* with ``scenes``, and so is the map.

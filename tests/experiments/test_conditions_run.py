@@ -1,24 +1,24 @@
 from __future__ import annotations
 
 import json
-import pickle
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from triform.evaluation import Scenario, scenario
+from tests.options import options
+from triform.commands.terminal import Terminal
+from triform.evaluation import runs as runs_module
 from triform.evaluation.metrics import wilson_interval
-from triform.evaluation.runs import PicklableController
-from triform.experiments import sweep
-from triform.experiments.conditions import ConditionsConfig
+from triform.experiments import grid as grid_module
+from triform.experiments.conditions import ConditionsConfig, failed_runs, run_conditions
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.experiments.sweep import CellRuns, ConditionSweep, MeasureCells, run_cell, run_conditions
+from triform.experiments.grid import Cell, Grid, read_labels
 from triform.types import TriformError
 
 QUICK = {
-    "controller": "expert-odd", "robots": (3, 4), "runs": 3, "seed": 3, "duration": 12.0, "incident_time": 6.0,
-    "which": ("latency", "incident"), "failures": 3,
+    "controller": "expert-odd", "robots": (3, 4), "runs": 3, "seed": 3, "duration": 12.0, "event_time": 6.0,
+    "which": ("latency", "event"), "failures": 3,
 }  # fmt: skip
 
 
@@ -30,7 +30,9 @@ def folder(tmp_path_factory):
     from rich.console import Console
 
     output = tmp_path_factory.mktemp("sweep")
-    run_conditions(ConditionsConfig(output=output, threads=1, **QUICK), Console(file=StringIO(), width=80))
+    run_conditions(
+        options(ConditionsConfig, output=output, threads=1, **QUICK), Terminal(Console(file=StringIO(), width=80))
+    )
     return output
 
 
@@ -48,7 +50,7 @@ def test_all_files_are_written(folder):
         "conditions.json", "conditions.parquet", "conditions.md", "conditions.html", "conditions.png", "failures.png",
     }  # fmt: skip
     page = (folder / "conditions.md").read_text()
-    for heading in ("## All conditions", "## Latency", "## Incident", "## Failed runs"):
+    for heading in ("## All conditions", "## Latency", "## Event", "## Failed runs"):
         assert heading in page
     assert "## Speed" not in page
     assert "This controller sees true poses" in page
@@ -60,7 +62,7 @@ def test_all_files_are_written(folder):
 def test_every_cell_is_summarised_from_its_rows(folder):
     frame = rows(folder)
     cells = summaries(folder)
-    assert len(cells) == 6 * 2 + 3 * 2 + 1
+    assert len(cells) == 6 * 2 + 4 * 2 + 1
     assert len(frame) == 3 * len(cells)
     for cell in cells:
         own = frame[(frame.condition == cell["condition"]) & (frame.label == cell["label"])]
@@ -75,7 +77,9 @@ def test_every_cell_is_summarised_from_its_rows(folder):
 
 
 def test_runs_are_those_of_an_evaluation(folder):
-    alone = evaluate(EvaluateConfig(controller="expert-odd", robots=(3,), runs=3, seed=3, duration=12.0, latency=0.1))
+    alone = evaluate(
+        options(EvaluateConfig, controller="expert-odd", robots=(3,), runs=3, seed=3, duration=12.0, latency=0.1)
+    )
     frame = rows(folder)
     own = frame[(frame.condition == "latency") & (frame.label == "0.1") & (frame.team == 3)]
     for name, column in alone.runs.items():
@@ -83,80 +87,77 @@ def test_runs_are_those_of_an_evaluation(folder):
 
 
 @pytest.mark.parametrize("changes", [{}, {"controller": "scan-pipeline", "range_noise": 0.01, "robots": (3,)}])
-def test_results_depend_neither_on_chunks_nor_on_threads(changes, monkeypatch, tmp_path, console):
-    small = {"which": ("incident",), "failures": 0} | changes
-    run_conditions(ConditionsConfig(output=tmp_path / "one", **(QUICK | small | {"threads": 1})), console)
-    monkeypatch.setattr(scenario, "ROBOTS_PER_CHUNK", 4)
-    run_conditions(ConditionsConfig(output=tmp_path / "two", **(QUICK | small | {"threads": 2})), console)
+def test_results_depend_neither_on_chunks_nor_on_threads(changes, monkeypatch, tmp_path, listener):
+    small = {"which": ("event",), "failures": 0} | changes
+    run_conditions(options(ConditionsConfig, output=tmp_path / "one", **(QUICK | small | {"threads": 1})), listener)
+    monkeypatch.setattr(runs_module, "ROBOTS_PER_CHUNK", 4)
+    run_conditions(options(ConditionsConfig, output=tmp_path / "two", **(QUICK | small | {"threads": 2})), listener)
     pd.testing.assert_frame_equal(rows(tmp_path / "one"), rows(tmp_path / "two"))
 
 
-def test_the_work_can_be_sent_to_another_machine():
-    found = ConditionSweep(ConditionsConfig(**(QUICK | {"which": ("distance", "incident")})))
-    portables = {
-        kind: PicklableController(Scenario(controller="expert-odd", distance=kind[0]), controller)
-        for kind, controller in found.controllers.items()
-    }
-    task = MeasureCells(found.config, portables)
-    far = pickle.loads(pickle.dumps(task))
-    for cell in (found.cells[0], found.cells[-1]):
-        here, there = (each(CellRuns(cell, 1, 1), lambda work: None) for each in (task, far))
-        for name, column in here.items():
-            np.testing.assert_array_equal(there[name], column, err_msg=name)
+def open_grid(config):
+    path = config.output / "conditions.parquet"
+    return Grid(config.list_cells({*config.which, *read_labels(path, "condition")}), path)
 
 
-def test_what_is_done_is_not_run_again(folder, tmp_path, console, monkeypatch):
+def test_what_is_done_is_not_run_again(folder, tmp_path, listener, monkeypatch):
     for path in folder.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    monkeypatch.setattr(sweep, "MeasureCells", lambda *given: pytest.fail("nothing should be run"))
-    config = ConditionsConfig(output=tmp_path, **QUICK)
-    assert not ConditionSweep(config).waiting
+    monkeypatch.setattr(grid_module, "_MeasureChunks", lambda *given: pytest.fail("nothing should be run"))
+    config = options(ConditionsConfig, output=tmp_path, **QUICK)
+    assert not open_grid(config).waiting
     monkeypatch.undo()
-    run_conditions(config, console)
+    run_conditions(config, listener)
     pd.testing.assert_frame_equal(rows(tmp_path), rows(folder))
     assert summaries(tmp_path) == summaries(folder)
 
 
 def test_other_conditions_are_added_and_other_settings_replace(folder, tmp_path):
     (tmp_path / "conditions.parquet").write_bytes((folder / "conditions.parquet").read_bytes())
-    more = ConditionSweep(ConditionsConfig(output=tmp_path, **(QUICK | {"which": ("speed",)})))
-    assert {cell.condition for cell in more.done} == {"latency", "incident", "speed"}
+    more = open_grid(options(ConditionsConfig, output=tmp_path, **(QUICK | {"which": ("speed",)})))
+    assert {cell.labels["condition"] for cell in more.done} == {"latency", "event", "speed"}
     # The speed of the profile has been run already, under another condition.
-    assert {cell.label for cell in more.done if cell.condition == "speed"} == {"0.5"}
-    assert {cell.label for cell in more.waiting.values()} == {"0.05", "0.1", "0.2", "1"}
-    other = ConditionSweep(ConditionsConfig(output=tmp_path, **(QUICK | {"seed": 4})))
+    assert {cell.labels["label"] for cell in more.done if cell.labels["condition"] == "speed"} == {"0.5"}
+    assert {cell.labels["label"] for cell in more.waiting} == {"0.05", "0.1", "0.2", "1"}
+    other = open_grid(options(ConditionsConfig, output=tmp_path, **(QUICK | {"seed": 4})))
     assert not other.done
-    later = ConditionSweep(ConditionsConfig(output=tmp_path, **(QUICK | {"incident_time": 7.0})))
-    assert {cell.condition for cell in later.done} == {"latency"}
+    later = open_grid(options(ConditionsConfig, output=tmp_path, **(QUICK | {"event_time": 7.0})))
+    # A robot that is stuck and teams that meet do not depend on the moment of the other events.
+    assert {cell.labels["condition"] for cell in later.done} == {"latency"}
 
 
 def test_equal_cells_are_run_once():
     which = ("range-noise", "dropped-rays", "scan-rate", "latency", "speed", "footprint", "arena", "distance")
-    waiting = ConditionSweep(ConditionsConfig(**(QUICK | {"which": which}))).waiting
+    config = options(ConditionsConfig, **(QUICK | {"which": which}))
+    waiting = Grid(config.list_cells(set(which))).waiting
     assert len(waiting) == 2 * (1 + 5 + 4 + 4 + 5 + 4 + 6 + 2 + 4)
-    assert [cell.label for cell in waiting.values()][:3] == ["0", "0", "0.5"]
+    assert [cell.labels["label"] for cell in waiting][:3] == ["0", "0", "0.5"]
 
 
-def test_finished_cells_survive_an_interruption(tmp_path, console, monkeypatch):
-    def interrupted(config, runs, controller, on_step=None):
-        if runs.cell.label == "0.2":
+def test_finished_cells_survive_an_interruption(tmp_path, listener, monkeypatch):
+    run = Cell.run
+
+    def interrupted(cell, *given):
+        if cell.labels["label"] == "0.2":
             raise KeyboardInterrupt
-        return run_cell(config, runs, controller, on_step)
+        return run(cell, *given)
 
-    monkeypatch.setattr(sweep, "run_cell", interrupted)
-    config = ConditionsConfig(output=tmp_path, threads=1, **(QUICK | {"which": ("latency",), "robots": (3,)}))
+    monkeypatch.setattr(Cell, "run", interrupted)
+    config = options(ConditionsConfig, output=tmp_path, threads=1, **(QUICK | {"which": ("latency",), "robots": (3,)}))
     with pytest.raises(KeyboardInterrupt):
-        run_conditions(config, console)
+        run_conditions(config, listener)
     assert [cell["label"] for cell in summaries(tmp_path)] == ["0", "0.05", "0.1"]
     monkeypatch.undo()
-    assert [cell.label for cell in ConditionSweep(config).waiting.values()] == ["0.2", "0.3", "0.5"]
+    assert [cell.labels["label"] for cell in open_grid(config).waiting] == ["0.2", "0.3", "0.5"]
 
 
-def test_what_cannot_be_run_is_left_out_with_its_reason(tmp_path, console):
-    config = ConditionsConfig(
-        output=tmp_path, **(QUICK | {"which": ("arena", "scan-rate"), "robots": (25,), "runs": 1, "duration": 12.2})
+def test_what_cannot_be_run_is_left_out_with_its_reason(tmp_path, listener):
+    config = options(
+        ConditionsConfig,
+        output=tmp_path,
+        **(QUICK | {"which": ("arena", "scan-rate"), "robots": (25,), "runs": 1, "duration": 12.2}),
     )
-    run_conditions(config, console)
+    run_conditions(config, listener)
     written = json.loads((tmp_path / "conditions.json").read_text())
     assert list(written["skipped"]) == [
         "scan rate 2 Hz, 25 robots", "arena room-6, 25 robots", "arena pillars, 25 robots",
@@ -165,33 +166,33 @@ def test_what_cannot_be_run_is_left_out_with_its_reason(tmp_path, console):
         ("scan-rate", "5"), ("scan-rate", "10"), ("scan-rate", "20"), ("scan-rate", "50"), ("arena", "open"),
     ]  # fmt: skip
     assert "whole number of control periods" in written["skipped"]["scan rate 2 Hz, 25 robots"]
-    assert "left out: arena room-6, 25 robots: 1 of 1 starts" in console.file.getvalue()
+    assert "left out: arena room-6, 25 robots: 1 of 1 starts" in listener.console.file.getvalue()
     assert "Left out: scan rate 2 Hz" in (tmp_path / "conditions.md").read_text()
 
 
 def test_nothing_to_run_and_foreign_files_are_refused(tmp_path):
-    with pytest.raises(TriformError, match="nothing to run: there is no controller 'magic'"):
-        ConditionSweep(ConditionsConfig(output=tmp_path, controller="magic"))
+    with pytest.raises(TriformError, match="there is no controller 'magic'"):
+        open_grid(options(ConditionsConfig, output=tmp_path, controller="magic"))
     (tmp_path / "conditions.parquet").write_text("no table")
     with pytest.raises(TriformError, match="cannot be read"):
-        ConditionSweep(ConditionsConfig(output=tmp_path, **QUICK))
+        open_grid(options(ConditionsConfig, output=tmp_path, **QUICK))
     pd.DataFrame({"a": [1]}).to_parquet(tmp_path / "conditions.parquet")
-    with pytest.raises(TriformError, match="not written by triform conditions"):
-        ConditionSweep(ConditionsConfig(output=tmp_path, **QUICK))
+    with pytest.raises(TriformError, match="not written by this command"):
+        open_grid(options(ConditionsConfig, output=tmp_path, **QUICK))
 
 
 def test_failed_runs_are_drawn_as_they_were_measured(folder):
-    found = ConditionSweep(ConditionsConfig(output=folder, **QUICK))
-    failures = found.failed_runs()
+    found = open_grid(options(ConditionsConfig, output=folder, **QUICK))
+    failures = failed_runs(found, 3)
     assert len(failures) == 3
-    # Overrides take turns.
-    assert [failure.title.split()[0] for failure in failures[:2]] == ["latency", "incident"]
+    # Conditions take turns.
+    assert [failure.title.split()[0] for failure in failures[:2]] == ["latency", "event"]
     for failure in failures:
         cell = next(cell for cell in found.cells if failure.title.startswith(cell.name))
         run = int(failure.title.split()[-1])
-        _, table = run_cell(found.config, CellRuns(cell, run, 1), found.controllers[1.0, cell.scenario.robot])
+        _, table = cell.run(run, 1, found.controller(cell))
         measured = found.table(cell)
         assert not measured["strict"][run]
-        for name, column in table.items():
-            np.testing.assert_array_equal(column, measured[name][run : run + 1], err_msg=name)
+        for name in measured:
+            np.testing.assert_array_equal(table[name], measured[name][run : run + 1], err_msg=name)
         assert failure.trajectory.poses.shape[0] == 1

@@ -1,0 +1,64 @@
+"""``triform show``: profiles, arenas, controllers and policies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from triform.commands.terminal import Terminal
+from triform.control import CONTROLLERS, shipped_weights
+from triform.control.user import installed_controllers
+from triform.policy import describe_network, read_spec
+from triform.simulation import ARENAS, PROFILES, arena_toml, get_arena, get_profile, profile_toml
+from triform.timing.step_time import count_parameters, what_it_sees
+
+
+@dataclass(frozen=True)
+class Show:
+    """Options of ``triform show``.
+
+    Attributes:
+        what: What to show.
+        name: Profile or arena to print as TOML, to start from; a table of all if omitted.
+    """
+
+    what: Annotated[Literal["profile", "arena", "controllers", "policies"], tyro.conf.Positional]
+    name: Annotated[str | None, tyro.conf.Positional] = None
+
+    def run(self, console: Console) -> None:
+        """Print a file to start from, or a table."""
+        terminal = Terminal(console)
+        if self.what == "profile" and self.name is not None:
+            console.file.write(profile_toml(get_profile(self.name)))
+        elif self.what == "arena" and self.name is not None:
+            console.file.write(arena_toml(get_arena(self.name)))
+        elif self.what == "profile":
+            rows = [
+                [
+                    name,
+                    robot.footprint.label,
+                    str(robot.lidar.scan.rays),
+                    f"{1 / robot.lidar.period:.3g}",
+                    f"{min(robot.drive.max_speed, robot.drive.max_axis_speed):g}",
+                    f"{robot.latency:g}",
+                ]
+                for name, robot in PROFILES.items()
+            ]
+            headings = ["profile", "footprint [m]", "rays", "turns [Hz]", "speed [m/s]", "latency [s]"]
+            terminal.table("robot profiles", headings, rows)
+        elif self.what == "arena":
+            rows = [[name, str(len(arena.walls)), str(len(arena.pillars))] for name, arena in ARENAS.items()]
+            terminal.table("arenas", ["arena", "walls", "circles"], rows)
+        elif self.what == "controllers":
+            rows = [[name, what_it_sees(name)] for name in CONTROLLERS]
+            rows += [[name, point.value] for name, point in installed_controllers().items()]
+            terminal.table("controllers", ["controller", "sees"], rows)
+        else:
+            rows = [
+                [name, str(describe_network(read_spec(folder).network)["kind"]), f"{count_parameters(folder):,}"]
+                for name, folder in shipped_weights().items()
+            ]
+            terminal.table("shipped policies", ["policy", "network", "parameters"], rows)
