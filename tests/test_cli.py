@@ -9,6 +9,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import pyarrow.parquet as parquet
 import pytest
 
@@ -145,7 +146,7 @@ def test_the_first_command_says_that_it_compiles(tmp_path: Path, monkeypatch, ca
         """No options."""
 
     monkeypatch.setitem(COMMANDS, "demo", ("", lambda: (Nothing, lambda config, console: None)))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     with pytest.raises(SystemExit):
         main(["demo", "--help"])
     assert "compiling" not in capsys.readouterr().err

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import field, fields, make_dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -148,10 +146,10 @@ def _overview() -> str:
 
 
 def _kernels_missing() -> bool:
-    """Whether Numba's folder of compiled kernels, if it is known, has none yet."""
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    # Numba makes folders as soon as kernels are imported, and an index with the first one that it compiles.
-    return folder is not None and not any(Path(folder).rglob("*.nbi"))
+    """Whether the command that follows compiles its kernels first."""
+    from triform.kernels import kernels_compiled
+
+    return not kernels_compiled()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from triform.control.footprint_fit import fit_footprint
 from triform.control.segments import (
@@ -27,6 +26,7 @@ from triform.control.segments import (
     span,
     split_index,
 )
+from triform.kernels import kernel
 from triform.threads import in_parts
 from triform.types import FloatArray, IntArray, Scan, require
 
@@ -36,7 +36,7 @@ SCANS_PER_THREAD = 100
 ROBOMASTER_EP_SIZE = (0.320, 0.240)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fit_parts(sight, rays, points, count, footprint, parts, poses, costs, walls):  # type: ignore[no-untyped-def]
     """Cut the points into parts that each fit one robot, and walls.
 
@@ -89,7 +89,7 @@ def _fit_parts(sight, rays, points, count, footprint, parts, poses, costs, walls
     return found, wall_count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _reject_walls(sight, rays, points, parts, costs, found, walls, wall_count):  # type: ignore[no-untyped-def]
     """Empty the parts that may be pieces of walls."""
     edges = np.empty((2, 2))
@@ -103,7 +103,7 @@ def _reject_walls(sight, rays, points, parts, costs, found, walls, wall_count): 
             parts[i, 0] = parts[i, 1]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fit_union(sight, rays, points, part, other, footprint, union, pose):  # type: ignore[no-untyped-def]
     """Fit one footprint to two parts together; return the root mean cost [m], ``inf`` if they span too much."""
     total = sight[0].shape[0]
@@ -127,7 +127,7 @@ def _fit_union(sight, rays, points, part, other, footprint, union, pose):  # typ
     return fit_footprint(union, size, edges, footprint, sight, pose)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _join_parts(sight, rays, points, footprint, parts, poses, costs, found):  # type: ignore[no-untyped-def]
     """Join parts that one footprint explains together.
 
@@ -150,7 +150,7 @@ def _join_parts(sight, rays, points, footprint, parts, poses, costs, found):  # 
             parts[j, 0] = parts[j, 1]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _reject_overlaps(footprint, parts, poses, costs, found):  # type: ignore[no-untyped-def]
     """Of two robots closer than their narrow side, which cannot be, keep the one with more points."""
     closest = 2.0 * footprint[1]
@@ -163,7 +163,7 @@ def _reject_overlaps(footprint, parts, poses, costs, found):  # type: ignore[no-
                 costs[j] = np.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def detect_into(ranges, footprint, directions, angle_min, range_max, centres):  # type: ignore[no-untyped-def]
     """Detect the robots in one scan.
 
@@ -196,13 +196,13 @@ def detect_into(ranges, footprint, directions, angle_min, range_max, centres):  
     return robots
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def most_robots(rays):  # type: ignore[no-untyped-def]
     """Return how many robots a scan of ``rays`` rays can show at most."""
     return rays // MIN_POINTS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _detect_scans(ranges, footprint, directions, angle_min, range_max, centres, counts, first, last):  # type: ignore[no-untyped-def]
     for s in range(first, last):
         counts[s] = detect_into(ranges[s], footprint, directions, angle_min, range_max, centres[s])

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from triform.geometry import gabriel_into
 from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
 from triform.geometry.gabriel import ROBOTS_PER_THREAD
 from triform.geometry.gabriel_kernels import list_neighbours, make_workspace
+from triform.kernels import kernel
 from triform.threads import in_parts, usable_threads
 from triform.types import (
     SENSING_RANGE,
@@ -59,7 +59,7 @@ def expert_variant(name: str) -> ExpertVariant:
     return EXPERTS[name]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pull(poses, i, j, distance, gain, odd_gain):  # type: ignore[no-untyped-def]
     """What the edge to robot j adds to the velocity of robot i in the world frame [m/s]."""
     d_x = poses[j, 0] - poses[i, 0]
@@ -71,7 +71,7 @@ def _pull(poses, i, j, distance, gain, odd_gain):  # type: ignore[no-untyped-def
     return strain * (gain * d_x - odd_gain * d_y), strain * (gain * d_y + odd_gain * d_x)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _write_twist(poses, i, v_x, v_y, max_speed, out):  # type: ignore[no-untyped-def]
     """Write the body twist of robot i, ``out[i]``, for a velocity in the world frame."""
     speed = np.sqrt(v_x * v_x + v_y * v_y)
@@ -84,7 +84,7 @@ def _write_twist(poses, i, v_x, v_y, max_speed, out):  # type: ignore[no-untyped
     out[i, 2] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, out):  # type: ignore[no-untyped-def]
     """Write the expert's body twists of one small team; allocates nothing for up to ``SMALL_TEAM`` robots.
 
@@ -113,7 +113,7 @@ def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_rang
             _write_twist(poses, i, v_x, v_y, max_speed, out)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _expert_cells(world, cells, poses, distance, gain, odd_gain, max_speed, sensing_range, out):  # type: ignore[no-untyped-def]
     """Write the body twists of the robots in some ``cells`` of a world."""
     robots, _, parts, _ = world
@@ -133,7 +133,7 @@ def _expert_cells(world, cells, poses, distance, gain, odd_gain, max_speed, sens
             _write_twist(poses, i, v_x, v_y, max_speed, out)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def expert_worlds(poses, active, distance, gain, odd_gain, max_speed, sensing_range, out, first, last):  # type: ignore[no-untyped-def]
     """Write the expert's body twists of the worlds ``first <= b < last``; arguments as ``expert_into``, (B, ...)."""
     robots = poses.shape[1]

@@ -8,9 +8,9 @@ Gauss-Newton on the same residuals.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from triform.control.footprint_geometry import mean_depth, mean_half_width, pose_cost, surface_residual
+from triform.kernels import kernel
 
 #: Headings tried per half turn.
 HEADINGS = 18
@@ -28,7 +28,7 @@ EDGE_WEIGHT_INSIDE = 0.1
 EDGE_WEIGHT_BEYOND = 1.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _accumulate(normal, gradient, residual, j_x, j_y, j_t, weight):  # type: ignore[no-untyped-def]
     """Add one weighted residual with Jacobian (j_x, j_y, j_t) to the normal equations."""
     normal[0, 0] += weight * j_x * j_x
@@ -42,7 +42,7 @@ def _accumulate(normal, gradient, residual, j_x, j_y, j_t, weight):  # type: ign
     gradient[2] += weight * residual * j_t
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _solve_symmetric(normal, gradient, step):  # type: ignore[no-untyped-def]
     """Solve the positive definite 3 x 3 system (upper triangle given) for ``step`` by elimination."""
     m00, m01, m02 = normal[0, 0], normal[0, 1], normal[0, 2]
@@ -58,7 +58,7 @@ def _solve_symmetric(normal, gradient, step):  # type: ignore[no-untyped-def]
     step[0] = (gradient[0] - m01 * step[1] - m02 * step[2]) / m00
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def improve_pose(points, count, edges, pose, footprint, steps):  # type: ignore[no-untyped-def]
     """Improve a pose in place by damped Gauss-Newton steps.
 
@@ -124,7 +124,7 @@ def improve_pose(points, count, edges, pose, footprint, steps):  # type: ignore[
         pose[2] -= scale * step[2] / ARM
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def push_centroid(points, count, edges, footprint, pose):  # type: ignore[no-untyped-def]
     """Guess a pose from too few points: the seen surface, pushed outward by the mean depth.
 
@@ -144,7 +144,7 @@ def push_centroid(points, count, edges, footprint, pose):  # type: ignore[no-unt
     pose[0], pose[1], pose[2] = x * scale, y * scale, 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _placements(low, high, low_free, high_free, half, out):  # type: ignore[no-untyped-def]
     """Write up to two centre coordinates of a span of half size ``half`` that holds points in [low, high].
 
@@ -166,7 +166,7 @@ def _placements(low, high, low_free, high_free, half, out):  # type: ignore[no-u
     return 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _keep_best(cost, pose, best_costs, best_poses):  # type: ignore[no-untyped-def]
     """Insert a pose into the sorted list of the best ones."""
     slot = best_costs.shape[0]
@@ -181,7 +181,7 @@ def _keep_best(cost, pose, best_costs, best_poses):  # type: ignore[no-untyped-d
     best_poses[slot] = pose
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _search_headings(points, count, edges, footprint, sight, costs, poses):  # type: ignore[no-untyped-def]
     """Fill ``costs`` and ``poses`` with the best placements over a grid of headings."""
     a, b, _ = footprint
@@ -213,7 +213,7 @@ def _search_headings(points, count, edges, footprint, sight, costs, poses):  # t
                 _keep_best(cost, pose, costs, poses)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fit_footprint(points, count, edges, footprint, sight, pose):  # type: ignore[no-untyped-def]
     """Fit the footprint to the points of one robot.
 

@@ -13,7 +13,8 @@ Everything is in the observer's frame: the LiDAR is the origin.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 #: A point or ray that disagrees by more than this counts as an outlier and costs no more [m].
 OUTLIER = 0.06
@@ -21,7 +22,7 @@ OUTLIER = 0.06
 DEPTH_SLACK = 0.02
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def surface_residual(x, y, pose, cosine, sine, a, b, round_):  # type: ignore[no-untyped-def]
     """Where a point lies relative to the nearest visible side.
 
@@ -50,7 +51,7 @@ def surface_residual(x, y, pose, cosine, sine, a, b, round_):  # type: ignore[no
     return height_v, 0.0, side_v, beyond_v, 1.0 if u > 0 else -1.0, 0.0, u, v
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):  # type: ignore[no-untyped-def]
     """Ranges at which a ray from the origin enters and leaves the footprint; entry ``inf`` if it misses."""
     if round_:
@@ -78,7 +79,7 @@ def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):  #
     return entry, leave
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pose_cost(points, count, pose, footprint, sight):  # type: ignore[no-untyped-def]
     """Sum of squared disagreements of a pose with points and rays [m^2], each at most ``OUTLIER`` squared.
 
@@ -124,7 +125,7 @@ def pose_cost(points, count, pose, footprint, sight):  # type: ignore[no-untyped
     return cost
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mean_depth(a, b, round_):  # type: ignore[no-untyped-def]
     """How far the centre lies behind the seen surface, averaged over headings and rays [m].
 
@@ -135,7 +136,7 @@ def mean_depth(a, b, round_):  # type: ignore[no-untyped-def]
     return np.pi * a * b / (2.0 * (a + b))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mean_half_width(a, b, round_):  # type: ignore[no-untyped-def]
     """Half the width of the silhouette, averaged over headings [m]: perimeter / (2 pi) (Cauchy)."""
     if round_:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 #: Sine of the angle below which two lines count as parallel.
 _PARALLEL = 1e-9
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gap_along(distance, cos, sin, body):  # type: ignore[no-untyped-def]
     """Gap between a robot's own outline and a return.
 
@@ -39,7 +40,7 @@ def gap_along(distance, cos, sin, body):  # type: ignore[no-untyped-def]
     return gap, sign_x * out_x / gap, sign_y * out_y / gap
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_allowed(u_x, u_y, planes, count):  # type: ignore[no-untyped-def]
     """The velocity nearest to a wanted one within half-planes that all hold the origin.
 
@@ -81,7 +82,7 @@ def nearest_allowed(u_x, u_y, planes, count):  # type: ignore[no-untyped-def]
     return x, y
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _measured(value, range_min, range_max):  # type: ignore[no-untyped-def]
     """Range of a ray [m]: ``-inf`` is ``range_min``; no return and no measurement are ``inf``."""
     if 0.0 < value <= range_max:
@@ -89,7 +90,7 @@ def _measured(value, range_min, range_max):  # type: ignore[no-untyped-def]
     return range_min if value == -np.inf else np.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _confirmed(ranges, k, range_min, range_max):  # type: ignore[no-untyped-def]
     """Median range of a ray and its two neighbours [m]: what a single ray shows is not believed."""
     total = ranges.shape[0]
@@ -99,7 +100,7 @@ def _confirmed(ranges, k, range_min, range_max):  # type: ignore[no-untyped-def]
     return max(min(left, own), min(max(left, own), right))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _driven(u_x, u_y, limits):  # type: ignore[no-untyped-def]
     """What the drive makes of a velocity: shortened to a largest speed, then each axis clipped [m/s]."""
     max_speed, max_axis_speed = limits
@@ -109,7 +110,7 @@ def _driven(u_x, u_y, limits):  # type: ignore[no-untyped-def]
     return min(max(u_x, -max_axis_speed), max_axis_speed), min(max(u_y, -max_axis_speed), max_axis_speed)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _is_blind(ranges, early):  # type: ignore[no-untyped-def]
     """Whether a scan tells nothing: it has no measurement, or, ``early`` in a run, no return."""
     for k in range(ranges.shape[0]):
@@ -119,7 +120,7 @@ def _is_blind(ranges, early):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _find_planes(ranges, sight, body, law, speed, planes):  # type: ignore[no-untyped-def]
     """Write the half-planes that can forbid a velocity of norm ``speed``; return their number and the least gap [m]."""
     directions, range_min, range_max = sight
@@ -139,7 +140,7 @@ def _find_planes(ranges, sight, body, law, speed, planes):  # type: ignore[no-un
     return count, least
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def guard_robots(ranges, active, sight, body, law, limits, early, commands, first, last):  # type: ignore[no-untyped-def]
     """Limit the commands of the robots ``first <= m < last`` in place.
 

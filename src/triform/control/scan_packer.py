@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from triform.kernels import kernel
 from triform.perception import map_workspace, occupied_into
 from triform.policy import Keep, PackedMaps, append_patches
 from triform.types import FloatArray, MapConfig, ScanConfig, require
@@ -16,7 +16,7 @@ from triform.types import FloatArray, MapConfig, ScanConfig, require
 SCANS_AT_ONCE = 512
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pack_scans(  # type: ignore[no-untyped-def]
     ranges,
     odometry,

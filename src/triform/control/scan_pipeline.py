@@ -10,7 +10,6 @@ from dataclasses import asdict
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 
 from triform.control.detection import (
     ROBOMASTER_EP_SIZE,
@@ -23,11 +22,12 @@ from triform.control.detection import (
 from triform.control.triangulating import TriangulatingLaw
 from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, triangulate
 from triform.geometry.gabriel import gabriel_into
+from triform.kernels import kernel
 from triform.threads import in_parts
 from triform.types import SENSING_RANGE, FloatArray, View, require
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _spring_command(centres, count, distance, gain, max_speed, out):  # type: ignore[no-untyped-def]
     """Write Eq. 8 over the Gabriel neighbours of a robot at the origin among ``count`` centres, shape (3,)."""
     positions = np.zeros((count + 1, 2))
@@ -47,7 +47,7 @@ def _spring_command(centres, count, distance, gain, max_speed, out):  # type: ig
     out[0], out[1], out[2] = scale * u_x, scale * u_y, 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _shift(centres, count, odometry):  # type: ignore[no-untyped-def]
     """Give ``count`` centres as seen from where the robot has moved to since its scan, shape (3,)."""
     cos, sin = np.cos(odometry[2]), np.sin(odometry[2])
@@ -56,7 +56,7 @@ def _shift(centres, count, odometry):  # type: ignore[no-untyped-def]
         centres[j, 0], centres[j, 1] = cos * x + sin * y, cos * y - sin * x
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _command_robots(  # type: ignore[no-untyped-def]
     ranges, active, odometry, footprint, directions, angle_min, range_max, distance, gain, max_speed, out, first, last
 ):
@@ -70,7 +70,7 @@ def _command_robots(  # type: ignore[no-untyped-def]
             _spring_command(centres, count, distance, gain, max_speed, out[m])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _triangulating_command(centres, count, distance, law, max_speed, noise, room, out):  # type: ignore[no-untyped-def]
     """Write the triangulating law for a robot at the origin among ``count`` centres, shape (3,)."""
     x, y, linked, terms, facts = room
@@ -89,7 +89,7 @@ def _triangulating_command(centres, count, distance, law, max_speed, noise, room
     out[0], out[1], out[2] = scale * u_x, scale * u_y, 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _triangulate_robots(  # type: ignore[no-untyped-def]
     ranges,
     active,

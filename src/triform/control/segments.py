@@ -7,9 +7,9 @@ Everything is in the observer's frame; footprints, poses and sights are those of
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from triform.control.footprint_fit import fit_footprint, push_centroid
+from triform.kernels import kernel
 
 #: Fewer points than this are noise; fewer than ``MIN_FITTED`` are too few to fit a pose.
 MIN_POINTS = 3
@@ -30,7 +30,7 @@ STRAIGHT = 0.03
 SPAN_SLACK = 0.05
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def collect_points(ranges, range_max, directions, clean, rays, points):  # type: ignore[no-untyped-def]
     """Clean one scan and list its points counter-clockwise, starting at a gap if there is one.
 
@@ -70,7 +70,7 @@ def collect_points(ranges, range_max, directions, clean, rays, points):  # type:
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def breaks(clean, directions, ray, other):  # type: ignore[no-untyped-def]
     """Whether two consecutive points are too far apart for one surface."""
     total = clean.shape[0]
@@ -82,7 +82,7 @@ def breaks(clean, directions, ray, other):  # type: ignore[no-untyped-def]
     return gap_x * gap_x + gap_y * gap_y > limit * limit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def silhouette_edge(sight, ray, previous, side, edge):  # type: ignore[no-untyped-def]
     """Write where the silhouette ends beside a segment's end: (angle, half gap) [rad], ``NaN`` if that is not seen.
 
@@ -112,7 +112,7 @@ def silhouette_edge(sight, ray, previous, side, edge):  # type: ignore[no-untype
         return
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_edges(sight, rays, first, last, edges):  # type: ignore[no-untyped-def]
     """Write both silhouette edges of the points from index ``first`` up to before ``last``, shape (2, 2)."""
     inner_first, inner_last = min(first + 1, last - 1), max(last - 2, first)
@@ -120,14 +120,14 @@ def find_edges(sight, rays, first, last, edges):  # type: ignore[no-untyped-def]
     silhouette_edge(sight, rays[last - 1], rays[inner_last], 1, edges[1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def longest_span(footprint):  # type: ignore[no-untyped-def]
     """Return the largest distance between two points of one robot, with slack for noise [m]."""
     a, b, round_ = footprint
     return (2.0 * a if round_ else 2.0 * np.hypot(a, b)) + SPAN_SLACK
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def span(points, count):  # type: ignore[no-untyped-def]
     """Return the largest distance between two points [m]."""
     longest = 0.0
@@ -137,7 +137,7 @@ def span(points, count):  # type: ignore[no-untyped-def]
     return np.sqrt(longest)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def notch_depth(points, count):  # type: ignore[no-untyped-def]
     """Return how far the points leave the chord between their ends, away from the observer [m], and where."""
     x, y = points[0, 0], points[0, 1]
@@ -154,7 +154,7 @@ def notch_depth(points, count):  # type: ignore[no-untyped-def]
     return away, where
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def split_index(points, count):  # type: ignore[no-untyped-def]
     """Where merged objects part: at a gap that stands out, else at the notch between two convex shapes.
 
@@ -175,7 +175,7 @@ def split_index(points, count):  # type: ignore[no-untyped-def]
     return notch if away > STRAIGHT else 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fit_segment(points, count, edges, footprint, sight, pose):  # type: ignore[no-untyped-def]
     """Fit the footprint, or guess from too few points; return the root mean cost [m], ``inf`` if no robot."""
     a, b, _ = footprint
@@ -192,7 +192,7 @@ def fit_segment(points, count, edges, footprint, sight, pose):  # type: ignore[n
     return fit_footprint(points, count, edges, footprint, sight, pose)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fit_line(points, count, line):  # type: ignore[no-untyped-def]
     """Write the line of least squared distances as (point, unit normal), shape (4,); return those distances' RMS."""
     x, y = points[:count, 0].mean(), points[:count, 1].mean()
@@ -207,7 +207,7 @@ def fit_line(points, count, line):  # type: ignore[no-untyped-def]
     return line_distance(points, count, line)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def line_distance(points, count, line):  # type: ignore[no-untyped-def]
     """Return the root mean square distance of points from a line [m]."""
     total = 0.0
@@ -216,14 +216,14 @@ def line_distance(points, count, line):  # type: ignore[no-untyped-def]
     return np.sqrt(total / count)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_wall(points, count, footprint, line):  # type: ignore[no-untyped-def]
     """Whether a segment is straight and longer than any robot; its line is written to ``line``."""
     chord = np.hypot(points[count - 1, 0] - points[0, 0], points[count - 1, 1] - points[0, 1])
     return chord > longest_span(footprint) and fit_line(points, count, line) < STRAIGHT
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def looks_like_wall(points, count, edges, walls, wall_count):  # type: ignore[no-untyped-def]
     """Whether the points may be a piece of a wall: on the line of a wall, or straight without a free edge."""
     for k in range(wall_count):

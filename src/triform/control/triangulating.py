@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, hidden, triangulate
 from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
+from triform.kernels import kernel
 from triform.threads import in_parts
 from triform.types import FloatArray, PrivilegedView, TriformError, require
 
@@ -77,7 +77,7 @@ class TriangulatingLaw:
         return tuple(float(getattr(self, each.name)) for each in fields(self))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _command_one(i, candidates, number, poses, law, settings, noise, room, out):  # type: ignore[no-untyped-def]
     """Write the body twist of robot i, which looks at the first ``number`` robots of ``candidates``."""
     distance, blocking, max_speed = settings
@@ -106,7 +106,7 @@ def _command_one(i, candidates, number, poses, law, settings, noise, room, out):
     out[i, 0], out[i, 1], out[i, 2] = scale * v_x, scale * v_y, 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _make_workspace(most):  # type: ignore[no-untyped-def]
     return (
         np.empty(most), np.empty(most), np.empty(most), np.empty(most),
@@ -114,7 +114,7 @@ def _make_workspace(most):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _command_worlds(poses, active, law, settings, noise, out, first, last):  # type: ignore[no-untyped-def]
     """Write the body twists of the worlds ``first <= b < last``; every per-robot array has the leading axis B."""
     robots = poses.shape[1]

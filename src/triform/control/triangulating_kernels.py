@@ -7,7 +7,8 @@ The law is derived and its terms are named in docs/method.md; ``TriangulatingLaw
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 #: Facts about a robot's surroundings that ``triangulate`` also tells: see there.
 FEATURES = 5
@@ -19,7 +20,7 @@ _CIRCLE_STEPS = 25
 _LOOSE_REACH = 1.5
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _link(x, y, count, sight, linked):  # type: ignore[no-untyped-def]
     """Write the Gabriel graph of ``count`` points, shape (>= count, >= count); longer edges than ``sight`` are none."""
     for a in range(count):
@@ -36,7 +37,7 @@ def _link(x, y, count, sight, linked):  # type: ignore[no-untyped-def]
             linked[a, b] = linked[b, a] = joined
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _looseness(x, y, radius, count, linked, loose_length, loose_width):  # type: ignore[no-untyped-def]
     """How far the longest edge near the robot exceeds ``loose_length``, from 0 to 1 over ``loose_width``."""
     loose = 0.0
@@ -50,7 +51,7 @@ def _looseness(x, y, radius, count, linked, loose_length, loose_width):  # type:
     return loose
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _circle_centre(x, y, count):  # type: ignore[no-untyped-def]
     """Centre of the smallest circle around ``count`` points, by Badoiu and Clarkson's steps towards the farthest."""
     c_x = c_y = 0.0
@@ -65,7 +66,7 @@ def _circle_centre(x, y, count):  # type: ignore[no-untyped-def]
     return c_x, c_y
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def triangulate(x, y, count, law, linked, terms, facts):  # type: ignore[no-untyped-def]
     """The law of one robot.
 
@@ -153,7 +154,7 @@ def triangulate(x, y, count, law, linked, terms, facts):  # type: ignore[no-unty
     return v_x, v_y, push
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def hidden(x, y, count, j, blocking):  # type: ignore[no-untyped-def]
     """Whether a disc of radius ``blocking`` around another point blocks the line from the origin to point j."""
     length = x[j] * x[j] + y[j] * y[j]

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from triform.control import Teacher, expert_into
 from triform.dataset.neighbours import COLUMNS, neighbours_into
+from triform.kernels import kernel
 from triform.perception import map_workspace, occupied_into
 from triform.simulation import is_connected
 from triform.simulation.lidar import cast_world, scan_rays
@@ -91,7 +91,7 @@ class FreshBatch:
     neighbours: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _place(rng, side, min_spacing, poses):  # type: ignore[no-untyped-def]
     """Draw uniform poses until no two are too close and all hang together within the sensing range, if they ever do."""
     robots = poses.shape[0]
@@ -112,7 +112,7 @@ def _place(rng, side, min_spacing, poses):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _drive(poses, active, duration, step, distance, gain, odd_gain, max_speed, sensing_range, graph, twists):  # type: ignore[no-untyped-def]
     """Let the teacher move the robots for a while; headings stay, as its turn rate is zero."""
     for _ in range(int(duration / step)):
@@ -123,7 +123,7 @@ def _drive(poses, active, duration, step, distance, gain, odd_gain, max_speed, s
             poses[i, 1] += step * (sin * twists[i, 0] + cos * twists[i, 1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw_records(  # type: ignore[no-untyped-def]
     rng,
     side,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from triform.control import Teacher
 from triform.geometry import gabriel_into
+from triform.kernels import kernel
 from triform.types import FloatArray
 
 #: Columns: x, y [m], the robot's term of the expert's sum for unit gain (2) [m], whether it is a Gabriel neighbour and
@@ -14,7 +14,7 @@ from triform.types import FloatArray
 COLUMNS = 6
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def neighbours_into(poses, graph, distance, odd_gain, out):  # type: ignore[no-untyped-def]
     """Write the other robots of one record in each robot's body frame.
 
@@ -47,7 +47,7 @@ def neighbours_into(poses, graph, distance, odd_gain, out):  # type: ignore[no-u
             slot += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _neighbours(poses, sensing_range, distance, odd_gain, out):  # type: ignore[no-untyped-def]
     robots = poses.shape[1]
     active = np.ones(robots, dtype=np.bool_)

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from triform.kernels import kernel
 from triform.types import FloatArray, IntArray, MapArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gather(cells, offsets, sources, gathered_offsets, gathered):  # type: ignore[no-untyped-def]
     for m in range(sources.shape[0]):
         begin = offsets[sources[m]]

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from triform.control.triangulating import TriangulatingLaw
 from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, hidden, triangulate
 from triform.dataset.state_buffer import StateBuffer
+from triform.kernels import kernel
 from triform.perception import map_workspace, occupied_into
 from triform.simulation.cast_kernels import cast_robot, find_axes
 from triform.simulation.lidar import scan_rays
@@ -101,7 +101,7 @@ class Views:
     facts: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _place(rng, robots, positions):  # type: ignore[no-untyped-def]
     """Draw positions at least 0.45 apart, each robot within sight of one before it; whether all found a place."""
     side = 5.0 * np.sqrt(max(robots, 9) / 13.0) * (0.6 + 0.4 * rng.random())
@@ -119,7 +119,7 @@ def _place(rng, robots, positions):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def draw_body(rng, usual, distances, ep):  # type: ignore[no-untyped-def]
     """Draw d* [m] and the outline of all robots in units of it: (d*, (half length, half width, round))."""
     distance = 1.0
@@ -136,7 +136,7 @@ def draw_body(rng, usual, distances, ep):  # type: ignore[no-untyped-def]
     return distance, (half_length / distance, half_width / distance, round_)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def draw_positions(rng, visited, offsets, placed, sizes, jitter, team):  # type: ignore[no-untyped-def]
     """Write the positions of a random state into the front of ``team`` (longest, 2); returns the number of robots.
 
@@ -154,7 +154,7 @@ def draw_positions(rng, visited, offsets, placed, sizes, jitter, team):  # type:
     return robots
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def longest_team(offsets, sizes):  # type: ignore[no-untyped-def]
     """Robots of the largest team that ``draw_positions`` can write."""
     longest = sizes[1]
@@ -163,7 +163,7 @@ def longest_team(offsets, sizes):  # type: ignore[no-untyped-def]
     return longest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def label_workspace(longest):  # type: ignore[no-untyped-def]
     """Working room of ``label_robot`` for teams of up to ``longest`` robots."""
     return (
@@ -172,7 +172,7 @@ def label_workspace(longest):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw_room(rng, positions, walls):  # type: ignore[no-untyped-def]
     """Write the four walls of a room of random orientation around ``positions`` (N, 2), 0.25 to 2.25 from them."""
     angle = np.pi * rng.random()
@@ -195,7 +195,7 @@ def _draw_room(rng, positions, walls):  # type: ignore[no-untyped-def]
             walls[k, 2 * end + 1] = sin * a + cos * b
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw_pillar(rng, positions, pillar):  # type: ignore[no-untyped-def]
     """Write one pillar of 0.1 to 0.4 radius near ``positions`` but clear of them by 0.3; whether it found a place."""
     robot = int(rng.random() * positions.shape[0])
@@ -209,7 +209,7 @@ def _draw_pillar(rng, positions, pillar):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def label_robot(positions, i, heading, law, blocking, max_speed, room, command, seen, facts):  # type: ignore[no-untyped-def]
     """Write what the law does for robot i and what it sees, in its body frame; arguments as ``Views`` has them."""
     x, y, all_x, all_y, linked, terms = room
@@ -239,7 +239,7 @@ def label_robot(positions, i, heading, law, blocking, max_speed, room, command, 
             seen[k - 1, 2 + c] = terms[k, c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw_views(  # type: ignore[no-untyped-def]
     rng, visited, offsets, placed, sizes, jitter, distances, usual, ep, noisy, noise, dropping, dropout, walled,
     pillared, views, max_speed, law, scan, cell, min_cells, max_cells, maps, commands, seen, facts

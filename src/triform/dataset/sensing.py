@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from triform.kernels import kernel
 from triform.perception import map_workspace, occupied_into
 from triform.simulation import Arena, Footprint
 from triform.simulation.lidar import cast_world, scan_rays
@@ -15,7 +15,7 @@ from triform.types import FloatArray, IntArray, MapConfig, ScanConfig
 _CELLS_PER_RAY = 9
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sense_into(  # type: ignore[no-untyped-def]
     poses,
     body,

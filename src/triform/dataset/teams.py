@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from triform.control.triangulating import TriangulatingLaw
@@ -23,6 +22,7 @@ from triform.dataset.scenes import (
     longest_team,
 )
 from triform.dataset.state_buffer import StateBuffer
+from triform.kernels import kernel
 from triform.policy import RadiusGraph, hear
 from triform.simulation.profiles import ROBOMASTER_EP
 from triform.types import BoolArray, FloatArray, IntArray
@@ -76,7 +76,7 @@ class TeamLabels:
     facts: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw_states(  # type: ignore[no-untyped-def]
     rng, robots, visited, visited_offsets, placed, sizes, jitter, distances, usual, ep, poses, offsets, blocking
 ):
@@ -102,7 +102,7 @@ def _draw_states(  # type: ignore[no-untyped-def]
     return teams
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _label_states(  # type: ignore[no-untyped-def]
     poses, offsets, blocking, law, max_speed, receivers, senders, commands, terms, seen, facts
 ):

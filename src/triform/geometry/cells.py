@@ -16,7 +16,8 @@ is 0. It is itself a half of part ``parts[p, 3]``.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 #: Most robots in one cell, unless more stand in the same place.
 CELL_SIZE = 16
@@ -30,7 +31,7 @@ _BITS = 24
 _DIGIT = 8
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _spread_bits(value):  # type: ignore[no-untyped-def]
     """Put a zero before every bit of a number of ``_BITS`` bits."""
     value = (value | (value << np.uint64(16))) & np.uint64(0x0000FFFF0000FFFF)
@@ -40,7 +41,7 @@ def _spread_bits(value):  # type: ignore[no-untyped-def]
     return (value | (value << np.uint64(1))) & np.uint64(0x5555555555555555)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sort_robots(positions, active):  # type: ignore[no-untyped-def]
     """Active robots in the order of their keys, and the keys: which half, halving by halving (Morton order)."""
     low_x = low_y = np.inf
@@ -86,7 +87,7 @@ def _sort_robots(positions, active):  # type: ignore[no-untyped-def]
     return robots, keys
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _middle(keys, first, last):  # type: ignore[no-untyped-def]
     """First slot of the upper half of a part whose keys are not all equal."""
     differ = keys[first] ^ keys[last - 1]
@@ -104,7 +105,7 @@ def _middle(keys, first, last):  # type: ignore[no-untyped-def]
     return high
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def make_cells(positions, active):  # type: ignore[no-untyped-def]
     """Sort the active robots of one world into cells.
 
@@ -141,7 +142,7 @@ def make_cells(positions, active):  # type: ignore[no-untyped-def]
     return robots, places, parts, boxes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def list_cells(world):  # type: ignore[no-untyped-def]
     """Indices of the parts that are cells; all hold about as many robots, so a share of them is a share of the work."""
     parts = world[2]
@@ -154,7 +155,7 @@ def list_cells(world):  # type: ignore[no-untyped-def]
     return cells[:number]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _enclose(places, parts, part, boxes):  # type: ignore[no-untyped-def]
     """Write the box around the robots of a part, whose halves have theirs."""
     low_x = low_y = np.inf
@@ -170,7 +171,7 @@ def _enclose(places, parts, part, boxes):  # type: ignore[no-untyped-def]
     boxes[part, 0], boxes[part, 1], boxes[part, 2], boxes[part, 3] = low_x, low_y, high_x, high_y
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def box_distance(boxes, part, x, y):  # type: ignore[no-untyped-def]
     """Squared distance from a point to a part's box [m^2]; never above that of a place in it, rounding included."""
     d_x = max(boxes[part, 0] - x, x - boxes[part, 2], 0.0)
@@ -178,7 +179,7 @@ def box_distance(boxes, part, x, y):  # type: ignore[no-untyped-def]
     return d_x * d_x + d_y * d_y
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_near(world, cell, limit, stack, near):  # type: ignore[no-untyped-def]
     """List the slots that a robot of a cell may have within a distance, and some farther ones.
 
@@ -216,7 +217,7 @@ def find_near(world, cell, limit, stack, near):  # type: ignore[no-untyped-def]
     return number
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def closest_pair(world, limit):  # type: ignore[no-untyped-def]
     """Squared distance of the two robots nearest to each other [m^2], or ``limit`` if that is smaller."""
     _, places, parts, _ = world
@@ -237,7 +238,7 @@ def closest_pair(world, limit):  # type: ignore[no-untyped-def]
     return limit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def smallest_distance_of(positions, active):  # type: ignore[no-untyped-def]
     """Smallest distance between two active robots of one world [m]; ``inf`` without a pair.
 
@@ -255,14 +256,14 @@ def smallest_distance_of(positions, active):  # type: ignore[no-untyped-def]
     return np.sqrt(smallest)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def squared_distance(places, slot, other):  # type: ignore[no-untyped-def]
     """Squared distance of two places, given by their rows [m^2]."""
     d_x, d_y = places[slot, 0] - places[other, 0], places[slot, 1] - places[other, 1]
     return d_x * d_x + d_y * d_y
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def extended(values, size):  # type: ignore[no-untyped-def]
     """Return an array with the same rows at its front and room for at least ``size`` of them."""
     if size <= values.shape[0]:
@@ -272,7 +273,7 @@ def extended(values, size):  # type: ignore[no-untyped-def]
     return longer
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pairs_within(positions, active, limit):  # type: ignore[no-untyped-def]
     """All pairs of active robots whose squared distance is at most ``limit`` [m^2].
 

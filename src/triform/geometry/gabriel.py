@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from triform.geometry.cells import SMALL_TEAM, extended, make_cells
 from triform.geometry.gabriel_kernels import list_neighbours, make_workspace
+from triform.kernels import kernel
 from triform.threads import in_parts
 from triform.types import BoolArray, ConfigurationError, FloatArray, IntArray
 
@@ -26,7 +26,7 @@ from triform.types import BoolArray, ConfigurationError, FloatArray, IntArray
 ROBOTS_PER_THREAD = 10_000
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def are_neighbours(positions, active, i, j, limit):  # type: ignore[no-untyped-def]
     """Whether two robots are Gabriel neighbours, by the definition; ``limit`` is the squared longest edge [m^2]."""
     if not (active[i] and active[j]):
@@ -43,7 +43,7 @@ def are_neighbours(positions, active, i, j, limit):  # type: ignore[no-untyped-d
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gabriel_lists(positions, active, max_range):  # type: ignore[no-untyped-def]
     """Gabriel graph of one world as lists of neighbours.
 
@@ -99,7 +99,7 @@ def gabriel_lists(positions, active, max_range):  # type: ignore[no-untyped-def]
     return offsets, neighbours
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gabriel_into(positions, active, max_range, out):  # type: ignore[no-untyped-def]
     """Write the Gabriel graph of one world as a matrix; allocates nothing for up to ``SMALL_TEAM`` robots.
 
@@ -124,7 +124,7 @@ def gabriel_into(positions, active, max_range, out):  # type: ignore[no-untyped-
             out[i, j] = out[j, i] = are_neighbours(positions, active, i, j, limit)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gabriel_worlds(positions, active, max_range, out, first, last):  # type: ignore[no-untyped-def]
     for b in range(first, last):
         gabriel_into(positions[b], active[b], max_range, out[b])

@@ -9,9 +9,9 @@ be a neighbour; and who blocks a neighbour is nearer to i than the neighbour is.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from triform.geometry.cells import SEARCH_DEPTH, box_distance, extended, find_near, squared_distance
+from triform.kernels import kernel
 
 #: How far around a cell is looked, as squared distances in units of the area per robot: first, and if need be.
 _INNER, _OUTER = 8.0, 20.0
@@ -23,7 +23,7 @@ _NEAREST = 1e-20
 _ROUNDING = 1e-12
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def make_workspace(count):  # type: ignore[no-untyped-def]
     """Working room for ``list_neighbours`` among ``count`` robots."""
     stack = np.empty(SEARCH_DEPTH, dtype=np.int64)
@@ -31,7 +31,7 @@ def make_workspace(count):  # type: ignore[no-untyped-def]
     return stack, near, np.empty(count), np.empty(count), np.empty(count), np.empty(count, dtype=np.int64)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def list_neighbours(world, cell, limit, room, listed, ends):  # type: ignore[no-untyped-def]
     """List the Gabriel neighbours of the robots in a cell, as exactly as the definition.
 
@@ -94,7 +94,7 @@ def list_neighbours(world, cell, limit, room, listed, ends):  # type: ignore[no-
     return listed
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sort_found(robots, found, count):  # type: ignore[no-untyped-def]
     """Sort slots by the robots in them."""
     for k in range(1, count):
@@ -106,14 +106,14 @@ def _sort_found(robots, found, count):  # type: ignore[no-untyped-def]
         found[place] = slot
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _blocks(places, own, k, j):  # type: ignore[no-untyped-def]
     """Whether slot k lies strictly inside the circle over the slots ``own`` and j."""
     x, y = places[k, 0], places[k, 1]
     return (places[own, 0] - x) * (places[j, 0] - x) + (places[own, 1] - y) * (places[j, 1] - y) < 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _consider(places, own, slot, count, found):  # type: ignore[no-untyped-def]
     """Enter a slot among the ``count`` candidates unless one blocks it, and drop those that it blocks."""
     for c in range(count):
@@ -124,7 +124,7 @@ def _consider(places, own, slot, count, found):  # type: ignore[no-untyped-def]
     return count + 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _strike(places, own, slot, count, found):  # type: ignore[no-untyped-def]
     """Drop the candidates that a slot blocks; return how many are left."""
     left = 0
@@ -135,7 +135,7 @@ def _strike(places, own, slot, count, found):  # type: ignore[no-untyped-def]
     return left
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _farthest(places, own, count, found):  # type: ignore[no-untyped-def]
     """Squared distance beyond which nobody blocks a candidate [m^2]."""
     farthest = 0.0
@@ -144,14 +144,14 @@ def _farthest(places, own, count, found):  # type: ignore[no-untyped-def]
     return farthest * (1.0 + _ROUNDING)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _turn(d_x, d_y):  # type: ignore[no-untyped-def]
     """Grows with the angle of a vector."""
     share = d_x / (abs(d_x) + abs(d_y))
     return share - 1.0 if d_y < 0.0 else 1.0 - share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _reach(places, own, count, found):  # type: ignore[no-untyped-def]
     """Squared distance beyond which the candidates block everything [m^2]; ``inf`` while their polygon is open.
 
@@ -188,7 +188,7 @@ def _reach(places, own, count, found):  # type: ignore[no-untyped-def]
     return _MARGIN * corner if nearest > _NEAREST * corner else np.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hidden(places, own, boxes, part, count, found):  # type: ignore[no-untyped-def]
     """Whether one of the candidates blocks all of a box; by monotony that holds with rounding too."""
     for c in range(count):
@@ -201,7 +201,7 @@ def _hidden(places, own, boxes, part, count, found):  # type: ignore[no-untyped-
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _search_candidates(world, own, limit, stack, found):  # type: ignore[no-untyped-def]
     """List robots that no other listed one blocks, among all; every neighbour is listed."""
     _, places, parts, boxes = world
@@ -228,7 +228,7 @@ def _search_candidates(world, own, limit, stack, found):  # type: ignore[no-unty
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _least_product(low, high, a, b):  # type: ignore[no-untyped-def]
     """Smallest ``(a - x) (b - x)`` for x between ``low`` and ``high``."""
     middle = 0.5 * (a + b)
@@ -239,7 +239,7 @@ def _least_product(low, high, a, b):  # type: ignore[no-untyped-def]
     return -0.25 * (a - b) * (a - b)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _in_a_circle(places, own, boxes, part, count, found):  # type: ignore[no-untyped-def]
     """Whether a box may reach into the circle over the robot and one of the candidates."""
     x, y = places[own, 0], places[own, 1]
@@ -252,7 +252,7 @@ def _in_a_circle(places, own, boxes, part, count, found):  # type: ignore[no-unt
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _search_blockers(world, own, count, stack, found):  # type: ignore[no-untyped-def]
     """Drop the candidates that anybody blocks; return how many are left."""
     _, places, parts, boxes = world

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from triform.geometry.cells import SMALL_TEAM, smallest_distance_of
 from triform.geometry.gabriel import ROBOTS_PER_THREAD, are_neighbours, checked_points, gabriel_lists
+from triform.kernels import kernel
 from triform.threads import in_parts
 from triform.types import BoolArray, FloatArray, IntArray, require
 
@@ -37,7 +37,7 @@ class Quality:
     compactness: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _relative_error(positions, i, j, distance):  # type: ignore[no-untyped-def]
     """Relative error of the length of one edge."""
     dx = positions[i, 0] - positions[j, 0]
@@ -45,7 +45,7 @@ def _relative_error(positions, i, j, distance):  # type: ignore[no-untyped-def]
     return abs(np.sqrt(dx * dx + dy * dy) - distance) / distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _edge_error(positions, active, distance, max_range):  # type: ignore[no-untyped-def]
     """Mean relative edge error of one world; NaN without edges."""
     if active.shape[0] > SMALL_TEAM:
@@ -61,7 +61,7 @@ def _edge_error(positions, active, distance, max_range):  # type: ignore[no-unty
     return total / edges if edges > 0 else np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _listed_errors(positions, offsets, neighbours, distance):  # type: ignore[no-untyped-def]
     """Mean relative edge error, worst relative edge error and number of edges; NaN without edges."""
     total = 0.0
@@ -79,7 +79,7 @@ def _listed_errors(positions, offsets, neighbours, distance):  # type: ignore[no
     return total / edges, worst, edges
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count_reached(offsets, neighbours, active):  # type: ignore[no-untyped-def]
     """Number of active robots and how many of them the first one reaches over the graph."""
     robots = active.shape[0]
@@ -107,7 +107,7 @@ def _count_reached(offsets, neighbours, active):  # type: ignore[no-untyped-def]
     return count, reached
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count_common(first, second):  # type: ignore[no-untyped-def]
     """How many numbers two growing lists have in common."""
     common = 0
@@ -124,7 +124,7 @@ def _count_common(first, second):  # type: ignore[no-untyped-def]
     return common
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _triangles(offsets, neighbours):  # type: ignore[no-untyped-def]
     """Number of 3-cycles and whether every edge belongs to one."""
     triangles = 0
@@ -139,7 +139,7 @@ def _triangles(offsets, neighbours):  # type: ignore[no-untyped-def]
     return triangles // 3, covered
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _assess_worlds(  # type: ignore[no-untyped-def]
     positions, active, distance, max_range, error, edges_out, connected, strict, compactness, first, last
 ):
@@ -161,13 +161,13 @@ def _assess_worlds(  # type: ignore[no-untyped-def]
             compactness[b] = edges / np.floor(3 * count - np.sqrt(12.0 * count - 3))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _edge_error_worlds(positions, active, distance, max_range, out, first, last):  # type: ignore[no-untyped-def]
     for b in range(first, last):
         out[b] = _edge_error(positions[b], active[b], distance, max_range)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _smallest_distances(positions, active, out, first, last):  # type: ignore[no-untyped-def]
     for b in range(first, last):
         out[b] = smallest_distance_of(positions[b], active[b])

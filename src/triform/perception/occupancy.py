@@ -12,8 +12,8 @@ This is the only implementation; data, training and robots all call it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from triform.kernels import kernel
 from triform.threads import in_parts
 from triform.types import MapArray, MapConfig, Scan
 
@@ -25,7 +25,7 @@ _HIT = 4
 _SCANS_PER_THREAD = 300
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def map_workspace(size):  # type: ignore[no-untyped-def]
     """Make room for ``occupied_into`` and maps of ``size`` x ``size`` cells: grid, scratch and cells."""
     # A closed border spares every look at a neighbour the question whether it is on the map.
@@ -34,7 +34,7 @@ def map_workspace(size):  # type: ignore[no-untyped-def]
     return grid, np.empty((2, size * size), dtype=np.int32), np.empty(size * size, dtype=np.int32)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked):  # type: ignore[no-untyped-def]
     """Mark the 3 x 3 cells around every return on the flat ``grid``; list them in ``marked``; return how many."""
     half = size * cell / 2
@@ -64,7 +64,7 @@ def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _flood(grid, stride, start, queue):  # type: ignore[no-untyped-def]
     """Close the 4-connected group around cell ``start``, list it in ``queue`` and return its size."""
     grid[start] |= _CLOSED
@@ -81,7 +81,7 @@ def _flood(grid, stride, start, queue):  # type: ignore[no-untyped-def]
     return tail
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells):  # type: ignore[no-untyped-def]
     """List the occupied cells of one scan's map.
 
@@ -123,7 +123,7 @@ def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells
     return kept
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, first, last, out):  # type: ignore[no-untyped-def]
     size = out.shape[1]
     grid, scratch, cells = map_workspace(size)

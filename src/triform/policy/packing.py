@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from triform.kernels import kernel
 from triform.types import ConfigurationError, IntArray, MapArray
 
 Keep = Literal["occupied", "all"]
@@ -29,7 +29,7 @@ class PackedMaps:
     counts: IntArray
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def append_patches(cells, count, size, patch, keep_all, slots, patches, positions, token):  # type: ignore[no-untyped-def]
     """Append the patches of one map, given by its occupied cells, behind ``token`` patches.
 
@@ -70,7 +70,7 @@ def append_patches(cells, count, size, patch, keep_all, slots, patches, position
     return token
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pack(maps, patch, keep_all, slots, patches, positions, counts):  # type: ignore[no-untyped-def]
     size = maps.shape[1]
     cells = np.empty(size * size, dtype=np.int32)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from triform.geometry.cells import pairs_within
+from triform.kernels import kernel
 from triform.types import FloatArray, IntArray, require
 
 #: Numbers that a receiver knows of an edge: see ``RadiusGraph``.
@@ -36,7 +36,7 @@ class RadiusGraph:
     robots: int
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hear(poses, offsets, blocking, reach):  # type: ignore[no-untyped-def]
     """Edges within teams that begin at ``offsets``; see ``hear``. Returns features, receivers and senders."""
     edges = 0

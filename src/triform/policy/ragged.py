@@ -12,14 +12,15 @@ negative keeps the compiler from using vector instructions.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 # Sums may be taken in vectors only where nothing is written: loops that write are compiled twice, with vectors and, for
 # arrays that might overlap, without, and which one runs depends on where memory lies. Both must round alike.
 _SUMS = {"reassoc", "contract", "nsz"}
 
 
-@njit(cache=True, nogil=True, fastmath=_SUMS)
+@kernel(fastmath=_SUMS)
 def _sum(a, n):  # type: ignore[no-untyped-def]
     total = np.float32(0.0)
     for j in range(n):
@@ -27,7 +28,7 @@ def _sum(a, n):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True, fastmath=_SUMS)
+@kernel(fastmath=_SUMS)
 def _dot(a, at, b, n):  # type: ignore[no-untyped-def]
     total = np.float32(0.0)
     for j in range(n):
@@ -35,7 +36,7 @@ def _dot(a, at, b, n):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True, fastmath=_SUMS)
+@kernel(fastmath=_SUMS)
 def _dots(a, row, head, b, rows, first, last, b_head, out):  # type: ignore[no-untyped-def]
     """``out[j] = a[row] . b[rows[first + j]]``, four at a time; writes up to three values too many."""
     for j in range(first, last, 4):
@@ -54,7 +55,7 @@ def _dots(a, row, head, b, rows, first, last, b_head, out):  # type: ignore[no-u
         out[j - first + 3] = s_3
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _add(weights, b, rows, first, last, b_head, out, row, head):  # type: ignore[no-untyped-def]
     """``out[row] += sum_j weights[j] b[rows[first + j]]``, four at a time; the weights end in three zeros."""
     for j in range(first, last, 4):
@@ -71,7 +72,7 @@ def _add(weights, b, rows, first, last, b_head, out, row, head):  # type: ignore
             out[row, head, d] = x
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _longest(first):  # type: ignore[no-untyped-def]
     longest = 0
     for m in range(first.shape[0] - 1):
@@ -79,7 +80,7 @@ def _longest(first):  # type: ignore[no-untyped-def]
     return longest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def attend(  # type: ignore[no-untyped-def]
     q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, out, weights
 ):
@@ -106,7 +107,7 @@ def attend(  # type: ignore[no-untyped-def]
                 _add(s, v, k_rows, first, last, v_head + h, out, q_rows[i], h)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def attend_backward(  # type: ignore[no-untyped-def]
     q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, weights, grad, d_q, d_k, d_v
 ):

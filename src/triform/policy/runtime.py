@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import onnxruntime
-from numba import njit
 
+from triform.kernels import kernel
 from triform.policy.checkpoint import ONNX_FILE, PolicySpec, check_graph, read_spec, read_weights
 from triform.policy.config import CnnConfig, NetworkConfig, map_network
 from triform.policy.packing import PackedMaps
@@ -20,7 +20,7 @@ _TOKENS_AT_ONCE = 1024
 _MAPS_AT_ONCE = 16
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sort_by_count(counts, begins, order, first):  # type: ignore[no-untyped-def]
     """Sort maps by their number of patches, keeping their order where it is the same.
 
@@ -46,7 +46,7 @@ def _sort_by_count(counts, begins, order, first):  # type: ignore[no-untyped-def
     begins[0] = 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_rows(patches, positions, first, maps, tokens, places):  # type: ignore[no-untyped-def]
     """Lay the patches of ``maps`` side by side, each map's behind an empty patch for its class token.
 
@@ -68,7 +68,7 @@ def _fill_rows(patches, positions, first, maps, tokens, places):  # type: ignore
                 tokens[k, slot, c] = patches[begin + slot - 1, c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fits(patches, positions, counts, cells, per_map):  # type: ignore[no-untyped-def]
     """Whether packed maps have patches of ``cells`` cells, at most ``per_map`` of them each."""
     if patches.shape[1] != cells or patches.shape[0] != positions.shape[0]:
@@ -84,7 +84,7 @@ def _fits(patches, positions, counts, cells, per_map):  # type: ignore[no-untype
     return total == positions.shape[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_maps(patches, positions, counts, token, patch, maps):  # type: ignore[no-untyped-def]
     """Lay out whole maps; returns the token after theirs.
 

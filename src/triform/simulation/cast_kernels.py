@@ -10,13 +10,13 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
+from triform.kernels import kernel
 from triform.simulation.ray_kernels import body_reach, see_box, see_circle, see_wall
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _see_robot(
     i: int,
     j: int,
@@ -61,7 +61,7 @@ def _see_robot(
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _see_arena(
     i: int,
     poses: Any,
@@ -107,7 +107,7 @@ def _see_arena(
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_axes(poses: Any, axes: Any) -> None:
     """Write the directions (cosine, sine) of the headings of all robots, shape (N, 2)."""
     for i in range(poses.shape[0]):
@@ -115,7 +115,7 @@ def find_axes(poses: Any, axes: Any) -> None:
         axes[i, 1] = math.sin(poses[i, 2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cast_robot(
     i: int, poses: Any, active: Any, body: Any, walls: Any, pillars: Any, scan: Any, axes: Any, row: Any
 ) -> None:
@@ -137,7 +137,7 @@ def cast_robot(
         _see_arena(i, poses, axes, walls, pillars, angle_min, range_min, range_max, cos_rays, sin_rays, row)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cast_world(poses: Any, active: Any, body: Any, walls: Any, pillars: Any, scan: Any, axes: Any, out: Any) -> None:
     """Cast the instantaneous, noiseless scans of one small team by looking at everybody; allocates nothing.
 
@@ -159,7 +159,7 @@ def cast_world(poses: Any, active: Any, body: Any, walls: Any, pillars: Any, sca
             out[i] = math.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cast_cells(
     world: Any,
     cells: Any,
@@ -198,7 +198,7 @@ def cast_cells(
                 )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sort_poses(world: Any, poses: Any) -> tuple[Any, Any]:
     """Poses (M, 3) and axes (M, 2) in the order of the slots."""
     robots = world[0]
@@ -211,7 +211,7 @@ def sort_poses(world: Any, poses: Any) -> tuple[Any, Any]:
     return in_slots, axes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cast_worlds(
     poses: Any, active: Any, body: Any, walls: Any, pillars: Any, scan: Any, out: Any, first: int, last: int
 ) -> None:

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
+from triform.kernels import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _axis_separates(dx: float, dy: float, cos: float, sin: float, half_length: float, half_width: float) -> bool:
     """Whether an axis of the first box separates two equal boxes.
 
@@ -31,7 +31,7 @@ def _axis_separates(dx: float, dy: float, cos: float, sin: float, half_length: f
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def robots_overlap(poses: Any, i: int, j: int, body: Any) -> bool:
     """Whether the footprints of robots i and j, poses of shape (N, 3), overlap (separating axis test)."""
     half_length, half_width, is_circle = body
@@ -53,7 +53,7 @@ def robots_overlap(poses: Any, i: int, j: int, body: Any) -> bool:
     return not _axis_separates(cos2 * dx + sin2 * dy, cos2 * dy - sin2 * dx, cos, sin, half_length, half_width)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pillar_overlaps(poses: Any, i: int, pillars: Any, p: int, body: Any) -> bool:
     """Whether the footprint of robot i overlaps pillar p; pillars (x, y, radius), shape (K, 3)."""
     half_length, half_width, is_circle = body
@@ -68,7 +68,7 @@ def pillar_overlaps(poses: Any, i: int, pillars: Any, p: int, body: Any) -> bool
     return bool(math.hypot(outside_x, outside_y) < pillars[p, 2])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def wall_overlaps(poses: Any, i: int, walls: Any, w: int, body: Any) -> bool:
     """Whether the footprint of robot i overlaps wall w; walls (x1, y1, x2, y2), shape (W, 4)."""
     half_length, half_width, is_circle = body
@@ -92,7 +92,7 @@ def wall_overlaps(poses: Any, i: int, walls: Any, w: int, body: Any) -> bool:
     return bool(abs(ax * by - ay * bx) < half_length * abs(by - ay) + half_width * abs(bx - ax))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def any_hits_arena(
     poses: Any,
     active: Any,

@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
+from triform.kernels import kernel
 
 _TWO_PI = 2 * math.pi
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def wrap(angle: float) -> float:
     """Return the same angle in [-pi, pi) [rad]."""
     turned = angle - _TWO_PI * math.floor((angle + math.pi) / _TWO_PI)
@@ -21,7 +21,7 @@ def wrap(angle: float) -> float:
     return -math.pi if turned >= math.pi else turned
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def advance_pose(
     x: float, y: float, heading: float, ux: float, uy: float, omega: float, duration: float
 ) -> tuple[float, float, float]:
@@ -41,7 +41,7 @@ def advance_pose(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def limit_twist(
     ux: float, uy: float, omega: float, max_speed: float, max_axis_speed: float, max_turn_rate: float
 ) -> tuple[float, float, float]:
@@ -57,7 +57,7 @@ def limit_twist(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def approach(gap: float, limit: float, lag: float, duration: float) -> tuple[float, float]:
     """Shares of a velocity error ``gap`` that remain at the end and on the mean of ``duration``.
 
@@ -94,7 +94,7 @@ def approach(gap: float, limit: float, lag: float, duration: float) -> tuple[flo
     return left / gap, area / (gap * duration)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def drive_team(poses: Any, velocities: Any, targets: Any, active: Any, limits: Any, duration: float) -> None:
     """Advance the ``poses`` and body ``velocities`` of one team in place.
 

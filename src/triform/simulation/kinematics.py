@@ -7,8 +7,8 @@ bounded, and moves by ``p' = R(heading) v``. Commands, limits and lag act in the
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from triform.kernels import kernel
 from triform.simulation.drive_kernels import advance_pose, drive_team, limit_twist
 from triform.simulation.profiles import Drive
 from triform.types import FloatArray, require
@@ -66,7 +66,7 @@ def twist_from_wheels(speeds: FloatArray, half_axes: float = HALF_AXES) -> Float
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _integrate_into(poses: FloatArray, twists: FloatArray, duration: float) -> None:
     for i in range(poses.shape[0]):
         poses[i, 0], poses[i, 1], poses[i, 2] = advance_pose(
@@ -95,7 +95,7 @@ def integrate(poses: FloatArray, twists: FloatArray, duration: float) -> FloatAr
     return moved
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _limit_into(twists: FloatArray, max_speed: float, max_axis_speed: float, max_turn_rate: float) -> None:
     for i in range(twists.shape[0]):
         twists[i, 0], twists[i, 1], twists[i, 2] = limit_twist(

@@ -10,13 +10,13 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from triform.geometry.cells import pairs_within
+from triform.kernels import kernel
 from triform.simulation.ray_kernels import body_reach
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distance_to_circle(x: float, y: float, radius: float, dx: float, dy: float) -> float:
     across = dx * y - dy * x
     along = dx * x + dy * y
@@ -27,7 +27,7 @@ def _distance_to_circle(x: float, y: float, radius: float, dx: float, dy: float)
     return along - math.sqrt(radius * radius - across * across)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distance_to_box(
     x: float, y: float, cos: float, sin: float, half_length: float, half_width: float, dx: float, dy: float
 ) -> float:
@@ -54,7 +54,7 @@ def _distance_to_box(
     return nearest if nearest <= farthest else math.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distance_to_wall(x1: float, y1: float, x2: float, y2: float, dx: float, dy: float) -> float:
     ex = x2 - x1
     ey = y2 - y1
@@ -66,7 +66,7 @@ def _distance_to_wall(x1: float, y1: float, x2: float, y2: float, dx: float, dy:
     return along if along >= 0.0 and 0.0 <= share <= 1.0 else math.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def list_near(poses: Any, active: Any, distance: float) -> tuple[Any, Any]:
     """List for every robot the others within ``distance`` [m], whatever the number of robots.
 
@@ -90,7 +90,7 @@ def list_near(poses: Any, active: Any, distance: float) -> tuple[Any, Any]:
     return offsets, robots
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _nearest_along(
     i: int, dx: float, dy: float, places: Any, first: int, last: int, near: Any, around: float, body: Any,
     walls: Any, pillars: Any,
@@ -120,7 +120,7 @@ def _nearest_along(
     return nearest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cast_moving(
     start: Any,
     end: Any,
@@ -190,7 +190,7 @@ def cast_moving(
             out[i, k] = math.inf if found > range_max else -math.inf if found < range_min else found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cast_moving_worlds(
     start: Any,
     end: Any,
@@ -218,7 +218,7 @@ def cast_moving_worlds(
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def seen_within(body: Any, scan: Any, travel: float) -> float:
     """Distance of two centres [m] beyond which robots cannot see each other before both have gone ``travel`` [m]."""
     return float((scan[2] + body_reach(body) + 2 * travel) * (1 + 1e-9))

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from triform.kernels import kernel
 from triform.simulation.profiles import Drive
 from triform.types import NOISE_PERIOD, FloatArray
 
@@ -21,7 +21,7 @@ _FULL_NOISE_SPEED = 0.5
 _SAME_TIME = 1e-9
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mixed(value):  # type: ignore[no-untyped-def]
     """The output function of SplitMix64: a bijection of 64-bit numbers that looks random."""
     value ^= value >> np.uint64(30)
@@ -31,7 +31,7 @@ def _mixed(value):  # type: ignore[no-untyped-def]
     return value ^ (value >> np.uint64(31))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill(keys, slot, out):  # type: ignore[no-untyped-def]
     golden = np.uint64(0x9E3779B97F4A7C15)
     for b in range(out.shape[0]):

@@ -21,14 +21,15 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from triform.kernels import kernel
 
 #: A visible edge spans less than half a turn; more than this share of the turn is an edge-on edge whose
 #: two bearings changed places by rounding.
 _EDGE_ON = 0.75
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def body_reach(body: Any) -> float:
     """Largest distance of a point of a robot from its centre [m]."""
     if body[2]:
@@ -36,7 +37,7 @@ def body_reach(body: Any) -> float:
     return math.hypot(body[0], body[1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def keep_nearest(row: Any, k: int, distance: float, range_min: float, range_max: float) -> None:
     """Enter a distance [m] into ray ``k`` of a scan unless something nearer is there already."""
     if distance <= range_max:
@@ -46,21 +47,21 @@ def keep_nearest(row: Any, k: int, distance: float, range_min: float, range_max:
             row[k] = distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _cover_all(range_min: float, range_max: float, row: Any) -> None:
     """The observer stands inside an obstacle: every ray measures 0."""
     for k in range(row.shape[0]):
         keep_nearest(row, k, 0.0, range_min, range_max)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _ray_index(x: float, y: float, angle_min: float, rays: int) -> float:
     """Fractional index in [0, rays] of the ray that points at (x, y)."""
     index: float = (math.atan2(y, x) - angle_min) * (rays / (2 * math.pi))
     return index - math.floor(index / rays) * rays
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _sweep_edge(
     first: int,
     last: int,
@@ -85,7 +86,7 @@ def _sweep_edge(
         row[k] = entry if entry < row[k] else row[k]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _see_edge(
     x1: float,
     y1: float,
@@ -134,7 +135,7 @@ def _see_edge(
     _sweep_edge(first, last, numerator, ex, ey, farthest, range_min, range_max, cos_rays, sin_rays, row)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def see_circle(
     x: float,
     y: float,
@@ -164,7 +165,7 @@ def see_circle(
         keep_nearest(row, k, x * cos_rays[k] + y * sin_rays[k] - math.sqrt(chord), range_min, range_max)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def see_box(
     x: float,
     y: float,
@@ -209,7 +210,7 @@ def see_box(
         x1, y1, start = x2, y2, stop
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def see_wall(
     x1: float,
     y1: float,

@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from triform.geometry.cells import SMALL_TEAM, pairs_within
+from triform.kernels import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spaced(positions: Any, spacing: float) -> bool:
     """Whether no two of ``positions``, shape (N, 2) [m], are closer than ``spacing`` [m]."""
     for i in range(positions.shape[0]):
@@ -23,7 +23,7 @@ def spaced(positions: Any, spacing: float) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def is_connected(positions: Any, reach: float) -> bool:
     """Whether the graph of pairs within ``reach`` [m] connects all ``positions``, shape (N, 2) [m]."""
     count = positions.shape[0]
@@ -48,7 +48,7 @@ def is_connected(positions: Any, reach: float) -> bool:
     return bool(length == count)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def linked_groups(positions: Any, reach: float) -> Any:
     """Smallest robot that each is connected with over pairs within ``reach`` [m]; positions of shape (N, 2) [m]."""
     count = positions.shape[0]
@@ -68,7 +68,7 @@ def linked_groups(positions: Any, reach: float) -> Any:
     return groups
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def first_valid(candidates: Any, spacing: float, reach: float) -> int:
     """Index of the first valid placement among ``candidates``, shape (K, N, 2) [m]; -1 if none is."""
     for k in range(candidates.shape[0]):
@@ -77,13 +77,13 @@ def first_valid(candidates: Any, spacing: float, reach: float) -> int:
     return -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _column(value: float, side: float, columns: int) -> int:
     """Column, or row, of a coordinate in a square around the origin."""
     return min(max(int((value / side + 0.5) * columns), 0), columns - 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _list_robot(robot: int, positions: Any, side: float, heads: Any, following: Any) -> None:
     """Put a robot at the head of the list of its grid cell."""
     row = _column(positions[robot, 1], side, heads.shape[0])
@@ -92,7 +92,7 @@ def _list_robot(robot: int, positions: Any, side: float, heads: Any, following: 
     heads[row, column] = robot
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _any_within(place: Any, distance: float, positions: Any, side: float, heads: Any, following: Any) -> bool:
     """Whether a robot in the grid is nearer to ``place`` than ``distance`` [m]."""
     columns = heads.shape[0]
@@ -110,7 +110,7 @@ def _any_within(place: Any, distance: float, positions: Any, side: float, heads:
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def insert_in_turn(candidates: Any, spacing: float, reach: float, side: float, missing: Any, positions: Any) -> int:
     """Give places to missing robots one after the other, from ``candidates`` in their order.
 

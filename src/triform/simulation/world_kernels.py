@@ -6,16 +6,16 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from triform.geometry.cells import pairs_within, smallest_distance_of, squared_distance
+from triform.kernels import kernel
 from triform.simulation.contact_kernels import any_hits_arena, robots_overlap
 from triform.simulation.drive_kernels import drive_team
 from triform.simulation.moving_ray_kernels import cast_moving, list_near, seen_within
 from triform.simulation.ray_kernels import body_reach
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _record_pairs(poses: Any, pairs: Any, body: Any, min_distance: float, collided: bool) -> tuple[float, bool]:
     """Fold pairs of robots into the smallest distance [m] and whether two footprints have overlapped."""
     squared = math.inf
@@ -29,7 +29,7 @@ def _record_pairs(poses: Any, pairs: Any, body: Any, min_distance: float, collid
     return min(min_distance, math.sqrt(squared)), collided
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def record_contacts(
     poses: Any,
     active: Any,
@@ -52,7 +52,7 @@ def record_contacts(
             hit_arena[b] = any_hits_arena(poses[b], active[b], body, walls, pillars)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _longest_travel(velocities: Any, targets: Any, active: Any, duration: float) -> float:
     """Distance that no robot of one world can exceed in ``duration`` [s] while it steers to its target [m]."""
     speed = 0.0
@@ -62,7 +62,7 @@ def _longest_travel(velocities: Any, targets: Any, active: Any, duration: float)
     return speed * duration
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _close_pairs(poses: Any, active: Any, body: Any, min_distance: float, collided: bool, travel: float) -> Any:
     """Pairs that can lower the smallest distance, or be the first to overlap, before each has gone ``travel`` [m]."""
     reach = min_distance if collided else max(min_distance, 2 * body_reach(body))
@@ -71,7 +71,7 @@ def _close_pairs(poses: Any, active: Any, body: Any, min_distance: float, collid
     return pairs_within(poses, active, reach * reach)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _advance_world(
     poses: Any,
     velocities: Any,
@@ -127,7 +127,7 @@ def _advance_world(
     return min_distance, collided, hit_arena
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def advance_worlds(
     poses: Any,
     velocities: Any,

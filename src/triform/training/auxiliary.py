@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
 from triform.dataset import TeamLabels
+from triform.kernels import kernel
 from triform.policy import PackedMaps
 from triform.types import FloatArray, MapConfig
 
@@ -28,7 +28,7 @@ _OFFSET_SCALE = 0.2
 _REACH = 0.45
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _token_targets(  # type: ignore[no-untyped-def]
     patches, positions, counts, seen, patch, columns, cell, half, out, valid
 ):

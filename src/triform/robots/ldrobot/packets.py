@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from triform.kernels import kernel
 from triform.types import FloatArray
 
 #: Speed of the serial line [baud]; ten bits carry a byte (8N1).
@@ -60,7 +60,7 @@ def _checksum_table() -> NDArray[np.uint8]:
 _TABLE = _checksum_table()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _checksum(stream: Any, first: int, table: Any) -> int:
     """Checksum of the packet that begins at ``first``: all its bytes but the last."""
     crc = 0
@@ -69,7 +69,7 @@ def _checksum(stream: Any, first: int, table: Any) -> int:
     return crc
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _find_into(stream: Any, table: Any, starts: Any) -> tuple[int, int, int]:
     """Fill ``starts`` with where packets begin; return their number, that of wrong checksums, and the bytes done."""
     end = stream.shape[0]

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from triform.kernels import kernel
 from triform.robots.ldrobot.models import LidarModel
 from triform.robots.ldrobot.packets import CLOCK_WRAP, LINE_RATE, PACKET_BYTES, SAMPLES, Packets, sample_angles
 from triform.types import FloatArray, IntArray, RangeArray, ScanConfig, require
@@ -58,7 +58,7 @@ class Turn:
     ended: float
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _enter_into(places: Any, ranges: Any, reach: float, apart: Any, row: Any) -> None:
     """Enter samples at ``places`` [spacings after the gap, clockwise] into the rays ``row`` that they are nearest to.
 
