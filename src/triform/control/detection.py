@@ -37,7 +37,7 @@ ROBOMASTER_EP_SIZE = (0.320, 0.240)
 
 
 @kernel
-def _fit_parts(sight, rays, points, count, footprint, parts, poses, costs, walls):  # type: ignore[no-untyped-def]
+def _fit_parts(sight, rays, points, count, footprint, parts, poses, costs, walls):
     """Cut the points into parts that each fit one robot, and walls.
 
     Args:
@@ -90,7 +90,7 @@ def _fit_parts(sight, rays, points, count, footprint, parts, poses, costs, walls
 
 
 @kernel
-def _reject_walls(sight, rays, points, parts, costs, found, walls, wall_count):  # type: ignore[no-untyped-def]
+def _reject_walls(sight, rays, points, parts, costs, found, walls, wall_count):
     """Empty the parts that may be pieces of walls."""
     edges = np.empty((2, 2))
     for i in range(found):
@@ -104,7 +104,7 @@ def _reject_walls(sight, rays, points, parts, costs, found, walls, wall_count): 
 
 
 @kernel
-def _fit_union(sight, rays, points, part, other, footprint, union, pose):  # type: ignore[no-untyped-def]
+def _fit_union(sight, rays, points, part, other, footprint, union, pose):
     """Fit one footprint to two parts together; return the root mean cost [m], ``inf`` if they span too much."""
     total = sight[0].shape[0]
     ahead = (rays[other[0]] - rays[part[1] - 1]) % total
@@ -128,7 +128,7 @@ def _fit_union(sight, rays, points, part, other, footprint, union, pose):  # typ
 
 
 @kernel
-def _join_parts(sight, rays, points, footprint, parts, poses, costs, found):  # type: ignore[no-untyped-def]
+def _join_parts(sight, rays, points, footprint, parts, poses, costs, found):
     """Join parts that one footprint explains together.
 
     The pose and cost of the union stay with the first part, which keeps the points of the larger one; the other is
@@ -151,7 +151,7 @@ def _join_parts(sight, rays, points, footprint, parts, poses, costs, found):  # 
 
 
 @kernel
-def _reject_overlaps(footprint, parts, poses, costs, found):  # type: ignore[no-untyped-def]
+def _reject_overlaps(footprint, parts, poses, costs, found):
     """Of two robots closer than their narrow side, which cannot be, keep the one with more points."""
     closest = 2.0 * footprint[1]
     for i in range(found):
@@ -164,7 +164,7 @@ def _reject_overlaps(footprint, parts, poses, costs, found):  # type: ignore[no-
 
 
 @kernel
-def detect_into(ranges, footprint, directions, angle_min, range_max, centres):  # type: ignore[no-untyped-def]
+def detect_into(ranges, footprint, directions, angle_min, range_max, centres):
     """Detect the robots in one scan.
 
     Args:
@@ -197,13 +197,13 @@ def detect_into(ranges, footprint, directions, angle_min, range_max, centres):  
 
 
 @kernel
-def most_robots(rays):  # type: ignore[no-untyped-def]
+def most_robots(rays):
     """Return how many robots a scan of ``rays`` rays can show at most."""
     return rays // MIN_POINTS
 
 
 @kernel
-def _detect_scans(ranges, footprint, directions, angle_min, range_max, centres, counts, first, last):  # type: ignore[no-untyped-def]
+def _detect_scans(ranges, footprint, directions, angle_min, range_max, centres, counts, first, last):
     for s in range(first, last):
         counts[s] = detect_into(ranges[s], footprint, directions, angle_min, range_max, centres[s])
 

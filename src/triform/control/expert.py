@@ -60,7 +60,7 @@ def expert_variant(name: str) -> ExpertVariant:
 
 
 @kernel
-def _pull(poses, i, j, distance, gain, odd_gain):  # type: ignore[no-untyped-def]
+def _pull(poses, i, j, distance, gain, odd_gain):
     """What the edge to robot j adds to the velocity of robot i in the world frame [m/s]."""
     d_x = poses[j, 0] - poses[i, 0]
     d_y = poses[j, 1] - poses[i, 1]
@@ -72,7 +72,7 @@ def _pull(poses, i, j, distance, gain, odd_gain):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _write_twist(poses, i, v_x, v_y, max_speed, out):  # type: ignore[no-untyped-def]
+def _write_twist(poses, i, v_x, v_y, max_speed, out):
     """Write the body twist of robot i, ``out[i]``, for a velocity in the world frame."""
     speed = np.sqrt(v_x * v_x + v_y * v_y)
     if speed > max_speed:
@@ -85,7 +85,7 @@ def _write_twist(poses, i, v_x, v_y, max_speed, out):  # type: ignore[no-untyped
 
 
 @kernel
-def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, out):  # type: ignore[no-untyped-def]
+def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, out):
     """Write the expert's body twists of one small team; allocates nothing for up to ``SMALL_TEAM`` robots.
 
     Args:
@@ -114,7 +114,7 @@ def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_rang
 
 
 @kernel
-def _expert_cells(world, cells, poses, distance, gain, odd_gain, max_speed, sensing_range, out):  # type: ignore[no-untyped-def]
+def _expert_cells(world, cells, poses, distance, gain, odd_gain, max_speed, sensing_range, out):
     """Write the body twists of the robots in some ``cells`` of a world."""
     robots, _, parts, _ = world
     limit = sensing_range * sensing_range
@@ -134,7 +134,7 @@ def _expert_cells(world, cells, poses, distance, gain, odd_gain, max_speed, sens
 
 
 @kernel
-def expert_worlds(poses, active, distance, gain, odd_gain, max_speed, sensing_range, out, first, last):  # type: ignore[no-untyped-def]
+def expert_worlds(poses, active, distance, gain, odd_gain, max_speed, sensing_range, out, first, last):
     """Write the expert's body twists of the worlds ``first <= b < last``; arguments as ``expert_into``, (B, ...)."""
     robots = poses.shape[1]
     small = robots <= SMALL_TEAM

@@ -29,7 +29,7 @@ EDGE_WEIGHT_BEYOND = 1.0
 
 
 @kernel
-def _accumulate(normal, gradient, residual, j_x, j_y, j_t, weight):  # type: ignore[no-untyped-def]
+def _accumulate(normal, gradient, residual, j_x, j_y, j_t, weight):
     """Add one weighted residual with Jacobian (j_x, j_y, j_t) to the normal equations."""
     normal[0, 0] += weight * j_x * j_x
     normal[0, 1] += weight * j_x * j_y
@@ -43,7 +43,7 @@ def _accumulate(normal, gradient, residual, j_x, j_y, j_t, weight):  # type: ign
 
 
 @kernel
-def _solve_symmetric(normal, gradient, step):  # type: ignore[no-untyped-def]
+def _solve_symmetric(normal, gradient, step):
     """Solve the positive definite 3 x 3 system (upper triangle given) for ``step`` by elimination."""
     m00, m01, m02 = normal[0, 0], normal[0, 1], normal[0, 2]
     factor1, factor2 = m01 / m00, m02 / m00
@@ -59,7 +59,7 @@ def _solve_symmetric(normal, gradient, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def improve_pose(points, count, edges, pose, footprint, steps):  # type: ignore[no-untyped-def]
+def improve_pose(points, count, edges, pose, footprint, steps):
     """Improve a pose in place by damped Gauss-Newton steps.
 
     Residuals are the heights of the points over the visible sides (Cauchy weights), their excess beyond a side's
@@ -125,7 +125,7 @@ def improve_pose(points, count, edges, pose, footprint, steps):  # type: ignore[
 
 
 @kernel
-def push_centroid(points, count, edges, footprint, pose):  # type: ignore[no-untyped-def]
+def push_centroid(points, count, edges, footprint, pose):
     """Guess a pose from too few points: the seen surface, pushed outward by the mean depth.
 
     If only one edge of the silhouette is free, the footprint reaches from there towards the hidden side by its
@@ -145,7 +145,7 @@ def push_centroid(points, count, edges, footprint, pose):  # type: ignore[no-unt
 
 
 @kernel
-def _placements(low, high, low_free, high_free, half, out):  # type: ignore[no-untyped-def]
+def _placements(low, high, low_free, high_free, half, out):
     """Write up to two centre coordinates of a span of half size ``half`` that holds points in [low, high].
 
     The observer is at zero. Points all on one side of it start at the near side, unless that end is hidden: then
@@ -167,7 +167,7 @@ def _placements(low, high, low_free, high_free, half, out):  # type: ignore[no-u
 
 
 @kernel
-def _keep_best(cost, pose, best_costs, best_poses):  # type: ignore[no-untyped-def]
+def _keep_best(cost, pose, best_costs, best_poses):
     """Insert a pose into the sorted list of the best ones."""
     slot = best_costs.shape[0]
     while slot > 0 and cost < best_costs[slot - 1]:
@@ -182,7 +182,7 @@ def _keep_best(cost, pose, best_costs, best_poses):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _search_headings(points, count, edges, footprint, sight, costs, poses):  # type: ignore[no-untyped-def]
+def _search_headings(points, count, edges, footprint, sight, costs, poses):
     """Fill ``costs`` and ``poses`` with the best placements over a grid of headings."""
     a, b, _ = footprint
     first_free, last_free = not np.isnan(edges[0, 0]), not np.isnan(edges[1, 0])
@@ -214,7 +214,7 @@ def _search_headings(points, count, edges, footprint, sight, costs, poses):  # t
 
 
 @kernel
-def fit_footprint(points, count, edges, footprint, sight, pose):  # type: ignore[no-untyped-def]
+def fit_footprint(points, count, edges, footprint, sight, pose):
     """Fit the footprint to the points of one robot.
 
     Args:

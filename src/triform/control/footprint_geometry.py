@@ -23,7 +23,7 @@ DEPTH_SLACK = 0.02
 
 
 @kernel
-def surface_residual(x, y, pose, cosine, sine, a, b, round_):  # type: ignore[no-untyped-def]
+def surface_residual(x, y, pose, cosine, sine, a, b, round_):
     """Where a point lies relative to the nearest visible side.
 
     Returns:
@@ -52,7 +52,7 @@ def surface_residual(x, y, pose, cosine, sine, a, b, round_):  # type: ignore[no
 
 
 @kernel
-def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):  # type: ignore[no-untyped-def]
+def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):
     """Ranges at which a ray from the origin enters and leaves the footprint; entry ``inf`` if it misses."""
     if round_:
         along = direction_x * pose[0] + direction_y * pose[1]
@@ -80,7 +80,7 @@ def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):  #
 
 
 @kernel
-def pose_cost(points, count, pose, footprint, sight):  # type: ignore[no-untyped-def]
+def pose_cost(points, count, pose, footprint, sight):
     """Sum of squared disagreements of a pose with points and rays [m^2], each at most ``OUTLIER`` squared.
 
     Every point should lie on a side that the observer can see, and no ray that went farther should pass through the
@@ -126,7 +126,7 @@ def pose_cost(points, count, pose, footprint, sight):  # type: ignore[no-untyped
 
 
 @kernel
-def mean_depth(a, b, round_):  # type: ignore[no-untyped-def]
+def mean_depth(a, b, round_):
     """How far the centre lies behind the seen surface, averaged over headings and rays [m].
 
     Half the mean chord of a convex shape, which is pi * area / perimeter (Cauchy, Crofton).
@@ -137,7 +137,7 @@ def mean_depth(a, b, round_):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def mean_half_width(a, b, round_):  # type: ignore[no-untyped-def]
+def mean_half_width(a, b, round_):
     """Half the width of the silhouette, averaged over headings [m]: perimeter / (2 pi) (Cauchy)."""
     if round_:
         return a

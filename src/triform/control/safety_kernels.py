@@ -11,7 +11,7 @@ _PARALLEL = 1e-9
 
 
 @kernel
-def gap_along(distance, cos, sin, body):  # type: ignore[no-untyped-def]
+def gap_along(distance, cos, sin, body):
     """Gap between a robot's own outline and a return.
 
     Args:
@@ -41,7 +41,7 @@ def gap_along(distance, cos, sin, body):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def nearest_allowed(u_x, u_y, planes, count):  # type: ignore[no-untyped-def]
+def nearest_allowed(u_x, u_y, planes, count):
     """The velocity nearest to a wanted one within half-planes that all hold the origin.
 
     Planes are added one by one. If one forbids the best velocity so far, the best one now lies on its line, at the
@@ -83,7 +83,7 @@ def nearest_allowed(u_x, u_y, planes, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _measured(value, range_min, range_max):  # type: ignore[no-untyped-def]
+def _measured(value, range_min, range_max):
     """Range of a ray [m]: ``-inf`` is ``range_min``; no return and no measurement are ``inf``."""
     if 0.0 < value <= range_max:
         return value
@@ -91,7 +91,7 @@ def _measured(value, range_min, range_max):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _confirmed(ranges, k, range_min, range_max):  # type: ignore[no-untyped-def]
+def _confirmed(ranges, k, range_min, range_max):
     """Median range of a ray and its two neighbours [m]: what a single ray shows is not believed."""
     total = ranges.shape[0]
     left = _measured(ranges[k - 1], range_min, range_max)
@@ -101,7 +101,7 @@ def _confirmed(ranges, k, range_min, range_max):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _driven(u_x, u_y, limits):  # type: ignore[no-untyped-def]
+def _driven(u_x, u_y, limits):
     """What the drive makes of a velocity: shortened to a largest speed, then each axis clipped [m/s]."""
     max_speed, max_axis_speed = limits
     speed = np.sqrt(u_x * u_x + u_y * u_y)
@@ -111,7 +111,7 @@ def _driven(u_x, u_y, limits):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_blind(ranges, early):  # type: ignore[no-untyped-def]
+def _is_blind(ranges, early):
     """Whether a scan tells nothing: it has no measurement, or, ``early`` in a run, no return."""
     for k in range(ranges.shape[0]):
         value = ranges[k]
@@ -121,7 +121,7 @@ def _is_blind(ranges, early):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _find_planes(ranges, sight, body, law, speed, planes):  # type: ignore[no-untyped-def]
+def _find_planes(ranges, sight, body, law, speed, planes):
     """Write the half-planes that can forbid a velocity of norm ``speed``; return their number and the least gap [m]."""
     directions, range_min, range_max = sight
     rate, min_gap, circumradius = law
@@ -141,7 +141,7 @@ def _find_planes(ranges, sight, body, law, speed, planes):  # type: ignore[no-un
 
 
 @kernel
-def guard_robots(ranges, active, sight, body, law, limits, early, commands, first, last):  # type: ignore[no-untyped-def]
+def guard_robots(ranges, active, sight, body, law, limits, early, commands, first, last):
     """Limit the commands of the robots ``first <= m < last`` in place.
 
     Args:

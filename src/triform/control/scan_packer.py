@@ -17,7 +17,7 @@ SCANS_AT_ONCE = 512
 
 
 @kernel
-def _pack_scans(  # type: ignore[no-untyped-def]
+def _pack_scans(
     ranges,
     odometry,
     cos,

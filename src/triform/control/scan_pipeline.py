@@ -28,7 +28,7 @@ from triform.types import SENSING_RANGE, FloatArray, View, require
 
 
 @kernel
-def _spring_command(centres, count, distance, gain, max_speed, out):  # type: ignore[no-untyped-def]
+def _spring_command(centres, count, distance, gain, max_speed, out):
     """Write Eq. 8 over the Gabriel neighbours of a robot at the origin among ``count`` centres, shape (3,)."""
     positions = np.zeros((count + 1, 2))
     positions[1:] = centres[:count]
@@ -48,7 +48,7 @@ def _spring_command(centres, count, distance, gain, max_speed, out):  # type: ig
 
 
 @kernel
-def _shift(centres, count, odometry):  # type: ignore[no-untyped-def]
+def _shift(centres, count, odometry):
     """Give ``count`` centres as seen from where the robot has moved to since its scan, shape (3,)."""
     cos, sin = np.cos(odometry[2]), np.sin(odometry[2])
     for j in range(count):
@@ -57,7 +57,7 @@ def _shift(centres, count, odometry):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _command_robots(  # type: ignore[no-untyped-def]
+def _command_robots(
     ranges, active, odometry, footprint, directions, angle_min, range_max, distance, gain, max_speed, out, first, last
 ):
     """Write the body twists (M, 3) of the robots ``first <= m < last`` from their scans (M, R) and odometry (M, 3)."""
@@ -71,7 +71,7 @@ def _command_robots(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _triangulating_command(centres, count, distance, law, max_speed, noise, room, out):  # type: ignore[no-untyped-def]
+def _triangulating_command(centres, count, distance, law, max_speed, noise, room, out):
     """Write the triangulating law for a robot at the origin among ``count`` centres, shape (3,)."""
     x, y, linked, terms, facts = room
     x[0] = y[0] = 0.0
@@ -90,7 +90,7 @@ def _triangulating_command(centres, count, distance, law, max_speed, noise, room
 
 
 @kernel
-def _triangulate_robots(  # type: ignore[no-untyped-def]
+def _triangulate_robots(
     ranges,
     active,
     odometry,

@@ -31,7 +31,7 @@ SPAN_SLACK = 0.05
 
 
 @kernel
-def collect_points(ranges, range_max, directions, clean, rays, points):  # type: ignore[no-untyped-def]
+def collect_points(ranges, range_max, directions, clean, rays, points):
     """Clean one scan and list its points counter-clockwise, starting at a gap if there is one.
 
     Args:
@@ -71,7 +71,7 @@ def collect_points(ranges, range_max, directions, clean, rays, points):  # type:
 
 
 @kernel
-def breaks(clean, directions, ray, other):  # type: ignore[no-untyped-def]
+def breaks(clean, directions, ray, other):
     """Whether two consecutive points are too far apart for one surface."""
     total = clean.shape[0]
     turn = 2.0 * np.pi / total * ((other - ray) % total)
@@ -83,7 +83,7 @@ def breaks(clean, directions, ray, other):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def silhouette_edge(sight, ray, previous, side, edge):  # type: ignore[no-untyped-def]
+def silhouette_edge(sight, ray, previous, side, edge):
     """Write where the silhouette ends beside a segment's end: (angle, half gap) [rad], ``NaN`` if that is not seen.
 
     It is seen if the next ray that says anything goes clearly farther. It is not if that ray stops nearer (hidden) or
@@ -113,7 +113,7 @@ def silhouette_edge(sight, ray, previous, side, edge):  # type: ignore[no-untype
 
 
 @kernel
-def find_edges(sight, rays, first, last, edges):  # type: ignore[no-untyped-def]
+def find_edges(sight, rays, first, last, edges):
     """Write both silhouette edges of the points from index ``first`` up to before ``last``, shape (2, 2)."""
     inner_first, inner_last = min(first + 1, last - 1), max(last - 2, first)
     silhouette_edge(sight, rays[first], rays[inner_first], -1, edges[0])
@@ -121,14 +121,14 @@ def find_edges(sight, rays, first, last, edges):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def longest_span(footprint):  # type: ignore[no-untyped-def]
+def longest_span(footprint):
     """Return the largest distance between two points of one robot, with slack for noise [m]."""
     a, b, round_ = footprint
     return (2.0 * a if round_ else 2.0 * np.hypot(a, b)) + SPAN_SLACK
 
 
 @kernel
-def span(points, count):  # type: ignore[no-untyped-def]
+def span(points, count):
     """Return the largest distance between two points [m]."""
     longest = 0.0
     for i in range(count):
@@ -138,7 +138,7 @@ def span(points, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def notch_depth(points, count):  # type: ignore[no-untyped-def]
+def notch_depth(points, count):
     """Return how far the points leave the chord between their ends, away from the observer [m], and where."""
     x, y = points[0, 0], points[0, 1]
     chord_x, chord_y = points[count - 1, 0] - x, points[count - 1, 1] - y
@@ -155,7 +155,7 @@ def notch_depth(points, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def split_index(points, count):  # type: ignore[no-untyped-def]
+def split_index(points, count):
     """Where merged objects part: at a gap that stands out, else at the notch between two convex shapes.
 
     Returns:
@@ -176,7 +176,7 @@ def split_index(points, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fit_segment(points, count, edges, footprint, sight, pose):  # type: ignore[no-untyped-def]
+def fit_segment(points, count, edges, footprint, sight, pose):
     """Fit the footprint, or guess from too few points; return the root mean cost [m], ``inf`` if no robot."""
     a, b, _ = footprint
     if count < MIN_POINTS or span(points, count) > longest_span(footprint):
@@ -193,7 +193,7 @@ def fit_segment(points, count, edges, footprint, sight, pose):  # type: ignore[n
 
 
 @kernel
-def fit_line(points, count, line):  # type: ignore[no-untyped-def]
+def fit_line(points, count, line):
     """Write the line of least squared distances as (point, unit normal), shape (4,); return those distances' RMS."""
     x, y = points[:count, 0].mean(), points[:count, 1].mean()
     s_xx = s_xy = s_yy = 0.0
@@ -208,7 +208,7 @@ def fit_line(points, count, line):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def line_distance(points, count, line):  # type: ignore[no-untyped-def]
+def line_distance(points, count, line):
     """Return the root mean square distance of points from a line [m]."""
     total = 0.0
     for i in range(count):
@@ -217,14 +217,14 @@ def line_distance(points, count, line):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find_wall(points, count, footprint, line):  # type: ignore[no-untyped-def]
+def find_wall(points, count, footprint, line):
     """Whether a segment is straight and longer than any robot; its line is written to ``line``."""
     chord = np.hypot(points[count - 1, 0] - points[0, 0], points[count - 1, 1] - points[0, 1])
     return chord > longest_span(footprint) and fit_line(points, count, line) < STRAIGHT
 
 
 @kernel
-def looks_like_wall(points, count, edges, walls, wall_count):  # type: ignore[no-untyped-def]
+def looks_like_wall(points, count, edges, walls, wall_count):
     """Whether the points may be a piece of a wall: on the line of a wall, or straight without a free edge."""
     for k in range(wall_count):
         if line_distance(points, count, walls[k]) < STRAIGHT:

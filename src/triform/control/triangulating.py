@@ -78,7 +78,7 @@ class TriangulatingLaw:
 
 
 @kernel
-def _command_one(i, candidates, number, poses, law, settings, noise, room, out):  # type: ignore[no-untyped-def]
+def _command_one(i, candidates, number, poses, law, settings, noise, room, out):
     """Write the body twist of robot i, which looks at the first ``number`` robots of ``candidates``."""
     distance, blocking, max_speed = settings
     x, y, all_x, all_y, linked, terms, facts = room
@@ -107,7 +107,7 @@ def _command_one(i, candidates, number, poses, law, settings, noise, room, out):
 
 
 @kernel
-def _make_workspace(most):  # type: ignore[no-untyped-def]
+def _make_workspace(most):
     return (
         np.empty(most), np.empty(most), np.empty(most), np.empty(most),
         np.empty((most, most), dtype=np.bool_), np.empty((most, EDGE_TERMS)), np.empty(FEATURES),
@@ -115,7 +115,7 @@ def _make_workspace(most):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _command_worlds(poses, active, law, settings, noise, out, first, last):  # type: ignore[no-untyped-def]
+def _command_worlds(poses, active, law, settings, noise, out, first, last):
     """Write the body twists of the worlds ``first <= b < last``; every per-robot array has the leading axis B."""
     robots = poses.shape[1]
     reach = (law[0] * settings[0]) ** 2

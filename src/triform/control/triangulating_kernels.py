@@ -21,7 +21,7 @@ _LOOSE_REACH = 1.5
 
 
 @kernel
-def _link(x, y, count, sight, linked):  # type: ignore[no-untyped-def]
+def _link(x, y, count, sight, linked):
     """Write the Gabriel graph of ``count`` points, shape (>= count, >= count); longer edges than ``sight`` are none."""
     for a in range(count):
         linked[a, a] = False
@@ -38,7 +38,7 @@ def _link(x, y, count, sight, linked):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _looseness(x, y, radius, count, linked, loose_length, loose_width):  # type: ignore[no-untyped-def]
+def _looseness(x, y, radius, count, linked, loose_length, loose_width):
     """How far the longest edge near the robot exceeds ``loose_length``, from 0 to 1 over ``loose_width``."""
     loose = 0.0
     for a in range(count):
@@ -52,7 +52,7 @@ def _looseness(x, y, radius, count, linked, loose_length, loose_width):  # type:
 
 
 @kernel
-def _circle_centre(x, y, count):  # type: ignore[no-untyped-def]
+def _circle_centre(x, y, count):
     """Centre of the smallest circle around ``count`` points, by Badoiu and Clarkson's steps towards the farthest."""
     c_x = c_y = 0.0
     for step in range(1, _CIRCLE_STEPS):
@@ -67,7 +67,7 @@ def _circle_centre(x, y, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def triangulate(x, y, count, law, linked, terms, facts):  # type: ignore[no-untyped-def]
+def triangulate(x, y, count, law, linked, terms, facts):
     """The law of one robot.
 
     Args:
@@ -155,7 +155,7 @@ def triangulate(x, y, count, law, linked, terms, facts):  # type: ignore[no-unty
 
 
 @kernel
-def hidden(x, y, count, j, blocking):  # type: ignore[no-untyped-def]
+def hidden(x, y, count, j, blocking):
     """Whether a disc of radius ``blocking`` around another point blocks the line from the origin to point j."""
     length = x[j] * x[j] + y[j] * y[j]
     for k in range(1, count):

@@ -92,7 +92,7 @@ class FreshBatch:
 
 
 @kernel
-def _place(rng, side, min_spacing, poses):  # type: ignore[no-untyped-def]
+def _place(rng, side, min_spacing, poses):
     """Draw uniform poses until no two are too close and all hang together within the sensing range, if they ever do."""
     robots = poses.shape[0]
     for _ in range(_ATTEMPTS):
@@ -113,7 +113,7 @@ def _place(rng, side, min_spacing, poses):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _drive(poses, active, duration, step, distance, gain, odd_gain, max_speed, sensing_range, graph, twists):  # type: ignore[no-untyped-def]
+def _drive(poses, active, duration, step, distance, gain, odd_gain, max_speed, sensing_range, graph, twists):
     """Let the teacher move the robots for a while; headings stay, as its turn rate is zero."""
     for _ in range(int(duration / step)):
         expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, twists)
@@ -124,7 +124,7 @@ def _drive(poses, active, duration, step, distance, gain, odd_gain, max_speed, s
 
 
 @kernel
-def _draw_records(  # type: ignore[no-untyped-def]
+def _draw_records(
     rng,
     side,
     min_spacing,

@@ -15,7 +15,7 @@ COLUMNS = 6
 
 
 @kernel
-def neighbours_into(poses, graph, distance, odd_gain, out):  # type: ignore[no-untyped-def]
+def neighbours_into(poses, graph, distance, odd_gain, out):
     """Write the other robots of one record in each robot's body frame.
 
     Args:
@@ -48,7 +48,7 @@ def neighbours_into(poses, graph, distance, odd_gain, out):  # type: ignore[no-u
 
 
 @kernel
-def _neighbours(poses, sensing_range, distance, odd_gain, out):  # type: ignore[no-untyped-def]
+def _neighbours(poses, sensing_range, distance, odd_gain, out):
     robots = poses.shape[1]
     active = np.ones(robots, dtype=np.bool_)
     graph = np.empty((robots, robots), dtype=np.bool_)

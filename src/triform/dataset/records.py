@@ -13,7 +13,7 @@ from triform.types import FloatArray, IntArray, MapArray
 
 
 @kernel
-def _gather(cells, offsets, sources, gathered_offsets, gathered):  # type: ignore[no-untyped-def]
+def _gather(cells, offsets, sources, gathered_offsets, gathered):
     for m in range(sources.shape[0]):
         begin = offsets[sources[m]]
         target = gathered_offsets[m]

@@ -102,7 +102,7 @@ class Views:
 
 
 @kernel
-def _place(rng, robots, positions):  # type: ignore[no-untyped-def]
+def _place(rng, robots, positions):
     """Draw positions at least 0.45 apart, each robot within sight of one before it; whether all found a place."""
     side = 5.0 * np.sqrt(max(robots, 9) / 13.0) * (0.6 + 0.4 * rng.random())
     placed = 0
@@ -120,7 +120,7 @@ def _place(rng, robots, positions):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def draw_body(rng, usual, distances, ep):  # type: ignore[no-untyped-def]
+def draw_body(rng, usual, distances, ep):
     """Draw d* [m] and the outline of all robots in units of it: (d*, (half length, half width, round))."""
     distance = 1.0
     if rng.random() < 0.5:
@@ -137,7 +137,7 @@ def draw_body(rng, usual, distances, ep):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def draw_positions(rng, visited, offsets, placed, sizes, jitter, team):  # type: ignore[no-untyped-def]
+def draw_positions(rng, visited, offsets, placed, sizes, jitter, team):
     """Write the positions of a random state into the front of ``team`` (longest, 2); returns the number of robots.
 
     A placement that found no place gives no robot. Arguments are those of ``_draw_views``.
@@ -155,7 +155,7 @@ def draw_positions(rng, visited, offsets, placed, sizes, jitter, team):  # type:
 
 
 @kernel
-def longest_team(offsets, sizes):  # type: ignore[no-untyped-def]
+def longest_team(offsets, sizes):
     """Robots of the largest team that ``draw_positions`` can write."""
     longest = sizes[1]
     for e in range(offsets.shape[0] - 1):
@@ -164,7 +164,7 @@ def longest_team(offsets, sizes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def label_workspace(longest):  # type: ignore[no-untyped-def]
+def label_workspace(longest):
     """Working room of ``label_robot`` for teams of up to ``longest`` robots."""
     return (
         np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest),
@@ -173,7 +173,7 @@ def label_workspace(longest):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _draw_room(rng, positions, walls):  # type: ignore[no-untyped-def]
+def _draw_room(rng, positions, walls):
     """Write the four walls of a room of random orientation around ``positions`` (N, 2), 0.25 to 2.25 from them."""
     angle = np.pi * rng.random()
     cos, sin = np.cos(angle), np.sin(angle)
@@ -196,7 +196,7 @@ def _draw_room(rng, positions, walls):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _draw_pillar(rng, positions, pillar):  # type: ignore[no-untyped-def]
+def _draw_pillar(rng, positions, pillar):
     """Write one pillar of 0.1 to 0.4 radius near ``positions`` but clear of them by 0.3; whether it found a place."""
     robot = int(rng.random() * positions.shape[0])
     angle, away = 2.0 * np.pi * rng.random(), 0.6 + 1.6 * rng.random()
@@ -210,7 +210,7 @@ def _draw_pillar(rng, positions, pillar):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def label_robot(positions, i, heading, law, blocking, max_speed, room, command, seen, facts):  # type: ignore[no-untyped-def]
+def label_robot(positions, i, heading, law, blocking, max_speed, room, command, seen, facts):
     """Write what the law does for robot i and what it sees, in its body frame; arguments as ``Views`` has them."""
     x, y, all_x, all_y, linked, terms = room
     # A robot is seen as long as its near side is within range.
@@ -240,7 +240,7 @@ def label_robot(positions, i, heading, law, blocking, max_speed, room, command, 
 
 
 @kernel
-def _draw_views(  # type: ignore[no-untyped-def]
+def _draw_views(
     rng, visited, offsets, placed, sizes, jitter, distances, usual, ep, noisy, noise, dropping, dropout, walled,
     pillared, views, max_speed, law, scan, cell, min_cells, max_cells, maps, commands, seen, facts
 ):  # fmt: skip

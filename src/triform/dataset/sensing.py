@@ -16,7 +16,7 @@ _CELLS_PER_RAY = 9
 
 
 @kernel
-def _sense_into(  # type: ignore[no-untyped-def]
+def _sense_into(
     poses,
     body,
     walls,

@@ -77,7 +77,7 @@ class TeamLabels:
 
 
 @kernel
-def _draw_states(  # type: ignore[no-untyped-def]
+def _draw_states(
     rng, robots, visited, visited_offsets, placed, sizes, jitter, distances, usual, ep, poses, offsets, blocking
 ):
     """Fill ``poses``, ``offsets`` and ``blocking`` of ``TeamStates``; returns the number of teams.
@@ -103,9 +103,7 @@ def _draw_states(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _label_states(  # type: ignore[no-untyped-def]
-    poses, offsets, blocking, law, max_speed, receivers, senders, commands, terms, seen, facts
-):
+def _label_states(poses, offsets, blocking, law, max_speed, receivers, senders, commands, terms, seen, facts):
     """Fill ``commands``, ``terms``, ``seen`` and ``facts`` of ``TeamLabels``; other arguments as there."""
     longest = 1
     for t in range(blocking.shape[0]):

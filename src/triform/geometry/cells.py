@@ -32,7 +32,7 @@ _DIGIT = 8
 
 
 @kernel
-def _spread_bits(value):  # type: ignore[no-untyped-def]
+def _spread_bits(value):
     """Put a zero before every bit of a number of ``_BITS`` bits."""
     value = (value | (value << np.uint64(16))) & np.uint64(0x0000FFFF0000FFFF)
     value = (value | (value << np.uint64(8))) & np.uint64(0x00FF00FF00FF00FF)
@@ -42,7 +42,7 @@ def _spread_bits(value):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sort_robots(positions, active):  # type: ignore[no-untyped-def]
+def _sort_robots(positions, active):
     """Active robots in the order of their keys, and the keys: which half, halving by halving (Morton order)."""
     low_x = low_y = np.inf
     high_x = high_y = -np.inf
@@ -88,7 +88,7 @@ def _sort_robots(positions, active):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _middle(keys, first, last):  # type: ignore[no-untyped-def]
+def _middle(keys, first, last):
     """First slot of the upper half of a part whose keys are not all equal."""
     differ = keys[first] ^ keys[last - 1]
     # Spreads the highest bit in which the keys differ to all lower ones.
@@ -106,7 +106,7 @@ def _middle(keys, first, last):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def make_cells(positions, active):  # type: ignore[no-untyped-def]
+def make_cells(positions, active):
     """Sort the active robots of one world into cells.
 
     Args:
@@ -143,7 +143,7 @@ def make_cells(positions, active):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def list_cells(world):  # type: ignore[no-untyped-def]
+def list_cells(world):
     """Indices of the parts that are cells; all hold about as many robots, so a share of them is a share of the work."""
     parts = world[2]
     cells = np.empty(parts.shape[0], dtype=np.int64)
@@ -156,7 +156,7 @@ def list_cells(world):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _enclose(places, parts, part, boxes):  # type: ignore[no-untyped-def]
+def _enclose(places, parts, part, boxes):
     """Write the box around the robots of a part, whose halves have theirs."""
     low_x = low_y = np.inf
     high_x = high_y = -np.inf
@@ -172,7 +172,7 @@ def _enclose(places, parts, part, boxes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def box_distance(boxes, part, x, y):  # type: ignore[no-untyped-def]
+def box_distance(boxes, part, x, y):
     """Squared distance from a point to a part's box [m^2]; never above that of a place in it, rounding included."""
     d_x = max(boxes[part, 0] - x, x - boxes[part, 2], 0.0)
     d_y = max(boxes[part, 1] - y, y - boxes[part, 3], 0.0)
@@ -180,7 +180,7 @@ def box_distance(boxes, part, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find_near(world, cell, limit, stack, near):  # type: ignore[no-untyped-def]
+def find_near(world, cell, limit, stack, near):
     """List the slots that a robot of a cell may have within a distance, and some farther ones.
 
     Args:
@@ -218,7 +218,7 @@ def find_near(world, cell, limit, stack, near):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def closest_pair(world, limit):  # type: ignore[no-untyped-def]
+def closest_pair(world, limit):
     """Squared distance of the two robots nearest to each other [m^2], or ``limit`` if that is smaller."""
     _, places, parts, _ = world
     stack, near = np.empty(SEARCH_DEPTH, dtype=np.int64), np.empty(places.shape[0], dtype=np.int64)
@@ -239,7 +239,7 @@ def closest_pair(world, limit):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def smallest_distance_of(positions, active):  # type: ignore[no-untyped-def]
+def smallest_distance_of(positions, active):
     """Smallest distance between two active robots of one world [m]; ``inf`` without a pair.
 
     Args:
@@ -257,14 +257,14 @@ def smallest_distance_of(positions, active):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def squared_distance(places, slot, other):  # type: ignore[no-untyped-def]
+def squared_distance(places, slot, other):
     """Squared distance of two places, given by their rows [m^2]."""
     d_x, d_y = places[slot, 0] - places[other, 0], places[slot, 1] - places[other, 1]
     return d_x * d_x + d_y * d_y
 
 
 @kernel
-def extended(values, size):  # type: ignore[no-untyped-def]
+def extended(values, size):
     """Return an array with the same rows at its front and room for at least ``size`` of them."""
     if size <= values.shape[0]:
         return values
@@ -274,7 +274,7 @@ def extended(values, size):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def pairs_within(positions, active, limit):  # type: ignore[no-untyped-def]
+def pairs_within(positions, active, limit):
     """All pairs of active robots whose squared distance is at most ``limit`` [m^2].
 
     Args:

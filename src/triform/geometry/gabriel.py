@@ -27,7 +27,7 @@ ROBOTS_PER_THREAD = 10_000
 
 
 @kernel
-def are_neighbours(positions, active, i, j, limit):  # type: ignore[no-untyped-def]
+def are_neighbours(positions, active, i, j, limit):
     """Whether two robots are Gabriel neighbours, by the definition; ``limit`` is the squared longest edge [m^2]."""
     if not (active[i] and active[j]):
         return False
@@ -44,7 +44,7 @@ def are_neighbours(positions, active, i, j, limit):  # type: ignore[no-untyped-d
 
 
 @kernel
-def gabriel_lists(positions, active, max_range):  # type: ignore[no-untyped-def]
+def gabriel_lists(positions, active, max_range):
     """Gabriel graph of one world as lists of neighbours.
 
     Args:
@@ -100,7 +100,7 @@ def gabriel_lists(positions, active, max_range):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def gabriel_into(positions, active, max_range, out):  # type: ignore[no-untyped-def]
+def gabriel_into(positions, active, max_range, out):
     """Write the Gabriel graph of one world as a matrix; allocates nothing for up to ``SMALL_TEAM`` robots.
 
     Args:
@@ -125,7 +125,7 @@ def gabriel_into(positions, active, max_range, out):  # type: ignore[no-untyped-
 
 
 @kernel
-def _gabriel_worlds(positions, active, max_range, out, first, last):  # type: ignore[no-untyped-def]
+def _gabriel_worlds(positions, active, max_range, out, first, last):
     for b in range(first, last):
         gabriel_into(positions[b], active[b], max_range, out[b])
 

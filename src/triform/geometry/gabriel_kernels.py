@@ -24,7 +24,7 @@ _ROUNDING = 1e-12
 
 
 @kernel
-def make_workspace(count):  # type: ignore[no-untyped-def]
+def make_workspace(count):
     """Working room for ``list_neighbours`` among ``count`` robots."""
     stack = np.empty(SEARCH_DEPTH, dtype=np.int64)
     near = np.empty(count, dtype=np.int64)
@@ -32,7 +32,7 @@ def make_workspace(count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def list_neighbours(world, cell, limit, room, listed, ends):  # type: ignore[no-untyped-def]
+def list_neighbours(world, cell, limit, room, listed, ends):
     """List the Gabriel neighbours of the robots in a cell, as exactly as the definition.
 
     Args:
@@ -95,7 +95,7 @@ def list_neighbours(world, cell, limit, room, listed, ends):  # type: ignore[no-
 
 
 @kernel
-def _sort_found(robots, found, count):  # type: ignore[no-untyped-def]
+def _sort_found(robots, found, count):
     """Sort slots by the robots in them."""
     for k in range(1, count):
         slot = found[k]
@@ -107,14 +107,14 @@ def _sort_found(robots, found, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _blocks(places, own, k, j):  # type: ignore[no-untyped-def]
+def _blocks(places, own, k, j):
     """Whether slot k lies strictly inside the circle over the slots ``own`` and j."""
     x, y = places[k, 0], places[k, 1]
     return (places[own, 0] - x) * (places[j, 0] - x) + (places[own, 1] - y) * (places[j, 1] - y) < 0.0
 
 
 @kernel
-def _consider(places, own, slot, count, found):  # type: ignore[no-untyped-def]
+def _consider(places, own, slot, count, found):
     """Enter a slot among the ``count`` candidates unless one blocks it, and drop those that it blocks."""
     for c in range(count):
         if _blocks(places, own, found[c], slot):
@@ -125,7 +125,7 @@ def _consider(places, own, slot, count, found):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _strike(places, own, slot, count, found):  # type: ignore[no-untyped-def]
+def _strike(places, own, slot, count, found):
     """Drop the candidates that a slot blocks; return how many are left."""
     left = 0
     for c in range(count):
@@ -136,7 +136,7 @@ def _strike(places, own, slot, count, found):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _farthest(places, own, count, found):  # type: ignore[no-untyped-def]
+def _farthest(places, own, count, found):
     """Squared distance beyond which nobody blocks a candidate [m^2]."""
     farthest = 0.0
     for c in range(count):
@@ -145,14 +145,14 @@ def _farthest(places, own, count, found):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _turn(d_x, d_y):  # type: ignore[no-untyped-def]
+def _turn(d_x, d_y):
     """Grows with the angle of a vector."""
     share = d_x / (abs(d_x) + abs(d_y))
     return share - 1.0 if d_y < 0.0 else 1.0 - share
 
 
 @kernel
-def _reach(places, own, count, found):  # type: ignore[no-untyped-def]
+def _reach(places, own, count, found):
     """Squared distance beyond which the candidates block everything [m^2]; ``inf`` while their polygon is open.
 
     No candidate blocks another, so each lies on a side of its own, and the corners are where the lines of candidates
@@ -189,7 +189,7 @@ def _reach(places, own, count, found):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _hidden(places, own, boxes, part, count, found):  # type: ignore[no-untyped-def]
+def _hidden(places, own, boxes, part, count, found):
     """Whether one of the candidates blocks all of a box; by monotony that holds with rounding too."""
     for c in range(count):
         k_x, k_y = places[found[c], 0], places[found[c], 1]
@@ -202,7 +202,7 @@ def _hidden(places, own, boxes, part, count, found):  # type: ignore[no-untyped-
 
 
 @kernel
-def _search_candidates(world, own, limit, stack, found):  # type: ignore[no-untyped-def]
+def _search_candidates(world, own, limit, stack, found):
     """List robots that no other listed one blocks, among all; every neighbour is listed."""
     _, places, parts, boxes = world
     x, y = places[own, 0], places[own, 1]
@@ -229,7 +229,7 @@ def _search_candidates(world, own, limit, stack, found):  # type: ignore[no-unty
 
 
 @kernel
-def _least_product(low, high, a, b):  # type: ignore[no-untyped-def]
+def _least_product(low, high, a, b):
     """Smallest ``(a - x) (b - x)`` for x between ``low`` and ``high``."""
     middle = 0.5 * (a + b)
     if middle < low:
@@ -240,7 +240,7 @@ def _least_product(low, high, a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _in_a_circle(places, own, boxes, part, count, found):  # type: ignore[no-untyped-def]
+def _in_a_circle(places, own, boxes, part, count, found):
     """Whether a box may reach into the circle over the robot and one of the candidates."""
     x, y = places[own, 0], places[own, 1]
     for c in range(count):
@@ -253,7 +253,7 @@ def _in_a_circle(places, own, boxes, part, count, found):  # type: ignore[no-unt
 
 
 @kernel
-def _search_blockers(world, own, count, stack, found):  # type: ignore[no-untyped-def]
+def _search_blockers(world, own, count, stack, found):
     """Drop the candidates that anybody blocks; return how many are left."""
     _, places, parts, boxes = world
     farthest = _farthest(places, own, count, found)

@@ -38,7 +38,7 @@ class Quality:
 
 
 @kernel
-def _relative_error(positions, i, j, distance):  # type: ignore[no-untyped-def]
+def _relative_error(positions, i, j, distance):
     """Relative error of the length of one edge."""
     dx = positions[i, 0] - positions[j, 0]
     dy = positions[i, 1] - positions[j, 1]
@@ -46,7 +46,7 @@ def _relative_error(positions, i, j, distance):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _edge_error(positions, active, distance, max_range):  # type: ignore[no-untyped-def]
+def _edge_error(positions, active, distance, max_range):
     """Mean relative edge error of one world; NaN without edges."""
     if active.shape[0] > SMALL_TEAM:
         offsets, neighbours = gabriel_lists(positions, active, max_range)
@@ -62,7 +62,7 @@ def _edge_error(positions, active, distance, max_range):  # type: ignore[no-unty
 
 
 @kernel
-def _listed_errors(positions, offsets, neighbours, distance):  # type: ignore[no-untyped-def]
+def _listed_errors(positions, offsets, neighbours, distance):
     """Mean relative edge error, worst relative edge error and number of edges; NaN without edges."""
     total = 0.0
     worst = 0.0
@@ -80,7 +80,7 @@ def _listed_errors(positions, offsets, neighbours, distance):  # type: ignore[no
 
 
 @kernel
-def _count_reached(offsets, neighbours, active):  # type: ignore[no-untyped-def]
+def _count_reached(offsets, neighbours, active):
     """Number of active robots and how many of them the first one reaches over the graph."""
     robots = active.shape[0]
     seen = np.zeros(robots, dtype=np.bool_)
@@ -108,7 +108,7 @@ def _count_reached(offsets, neighbours, active):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _count_common(first, second):  # type: ignore[no-untyped-def]
+def _count_common(first, second):
     """How many numbers two growing lists have in common."""
     common = 0
     i = j = 0
@@ -125,7 +125,7 @@ def _count_common(first, second):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _triangles(offsets, neighbours):  # type: ignore[no-untyped-def]
+def _triangles(offsets, neighbours):
     """Number of 3-cycles and whether every edge belongs to one."""
     triangles = 0
     covered = True
@@ -140,7 +140,7 @@ def _triangles(offsets, neighbours):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _assess_worlds(  # type: ignore[no-untyped-def]
+def _assess_worlds(
     positions, active, distance, max_range, error, edges_out, connected, strict, compactness, first, last
 ):
     for b in range(first, last):
@@ -162,13 +162,13 @@ def _assess_worlds(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _edge_error_worlds(positions, active, distance, max_range, out, first, last):  # type: ignore[no-untyped-def]
+def _edge_error_worlds(positions, active, distance, max_range, out, first, last):
     for b in range(first, last):
         out[b] = _edge_error(positions[b], active[b], distance, max_range)
 
 
 @kernel
-def _smallest_distances(positions, active, out, first, last):  # type: ignore[no-untyped-def]
+def _smallest_distances(positions, active, out, first, last):
     for b in range(first, last):
         out[b] = smallest_distance_of(positions[b], active[b])
 

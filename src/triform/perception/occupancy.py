@@ -26,7 +26,7 @@ _SCANS_PER_THREAD = 300
 
 
 @kernel
-def map_workspace(size):  # type: ignore[no-untyped-def]
+def map_workspace(size):
     """Make room for ``occupied_into`` and maps of ``size`` x ``size`` cells: grid, scratch and cells."""
     # A closed border spares every look at a neighbour the question whether it is on the map.
     grid = np.full((size + 2, size + 2), _CLOSED, dtype=np.uint8)
@@ -35,7 +35,7 @@ def map_workspace(size):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked):  # type: ignore[no-untyped-def]
+def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked):
     """Mark the 3 x 3 cells around every return on the flat ``grid``; list them in ``marked``; return how many."""
     half = size * cell / 2
     stride = size + 2
@@ -65,7 +65,7 @@ def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked
 
 
 @kernel
-def _flood(grid, stride, start, queue):  # type: ignore[no-untyped-def]
+def _flood(grid, stride, start, queue):
     """Close the 4-connected group around cell ``start``, list it in ``queue`` and return its size."""
     grid[start] |= _CLOSED
     queue[0] = start
@@ -82,7 +82,7 @@ def _flood(grid, stride, start, queue):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells):  # type: ignore[no-untyped-def]
+def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells):
     """List the occupied cells of one scan's map.
 
     Args:
@@ -124,7 +124,7 @@ def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells
 
 
 @kernel
-def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, first, last, out):  # type: ignore[no-untyped-def]
+def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, first, last, out):
     size = out.shape[1]
     grid, scratch, cells = map_workspace(size)
     at_rest = np.zeros(3)

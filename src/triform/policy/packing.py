@@ -30,7 +30,7 @@ class PackedMaps:
 
 
 @kernel
-def append_patches(cells, count, size, patch, keep_all, slots, patches, positions, token):  # type: ignore[no-untyped-def]
+def append_patches(cells, count, size, patch, keep_all, slots, patches, positions, token):
     """Append the patches of one map, given by its occupied cells, behind ``token`` patches.
 
     Args:
@@ -71,7 +71,7 @@ def append_patches(cells, count, size, patch, keep_all, slots, patches, position
 
 
 @kernel
-def _pack(maps, patch, keep_all, slots, patches, positions, counts):  # type: ignore[no-untyped-def]
+def _pack(maps, patch, keep_all, slots, patches, positions, counts):
     size = maps.shape[1]
     cells = np.empty(size * size, dtype=np.int32)
     token = 0

@@ -37,7 +37,7 @@ class RadiusGraph:
 
 
 @kernel
-def _hear(poses, offsets, blocking, reach):  # type: ignore[no-untyped-def]
+def _hear(poses, offsets, blocking, reach):
     """Edges within teams that begin at ``offsets``; see ``hear``. Returns features, receivers and senders."""
     edges = 0
     found = []

@@ -21,7 +21,7 @@ _SUMS = {"reassoc", "contract", "nsz"}
 
 
 @kernel(fastmath=_SUMS)
-def _sum(a, n):  # type: ignore[no-untyped-def]
+def _sum(a, n):
     total = np.float32(0.0)
     for j in range(n):
         total += a[j]
@@ -29,7 +29,7 @@ def _sum(a, n):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath=_SUMS)
-def _dot(a, at, b, n):  # type: ignore[no-untyped-def]
+def _dot(a, at, b, n):
     total = np.float32(0.0)
     for j in range(n):
         total += a[at + j] * b[j]
@@ -37,7 +37,7 @@ def _dot(a, at, b, n):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath=_SUMS)
-def _dots(a, row, head, b, rows, first, last, b_head, out):  # type: ignore[no-untyped-def]
+def _dots(a, row, head, b, rows, first, last, b_head, out):
     """``out[j] = a[row] . b[rows[first + j]]``, four at a time; writes up to three values too many."""
     for j in range(first, last, 4):
         r_0, r_1 = rows[j], rows[min(j + 1, last - 1)]
@@ -56,7 +56,7 @@ def _dots(a, row, head, b, rows, first, last, b_head, out):  # type: ignore[no-u
 
 
 @kernel(fastmath={"contract"})
-def _add(weights, b, rows, first, last, b_head, out, row, head):  # type: ignore[no-untyped-def]
+def _add(weights, b, rows, first, last, b_head, out, row, head):
     """``out[row] += sum_j weights[j] b[rows[first + j]]``, four at a time; the weights end in three zeros."""
     for j in range(first, last, 4):
         r_0, r_1 = rows[j], rows[min(j + 1, last - 1)]
@@ -73,7 +73,7 @@ def _add(weights, b, rows, first, last, b_head, out, row, head):  # type: ignore
 
 
 @kernel
-def _longest(first):  # type: ignore[no-untyped-def]
+def _longest(first):
     longest = 0
     for m in range(first.shape[0] - 1):
         longest = max(longest, first[m + 1] - first[m])
@@ -81,9 +81,7 @@ def _longest(first):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def attend(  # type: ignore[no-untyped-def]
-    q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, out, weights
-):
+def attend(q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, out, weights):
     """Add ``softmax(scale q k^T) v`` to ``out`` (tokens, heads, width) and keep the softmax in ``weights``, flat."""
     s = np.zeros(_longest(k_first) + 3, dtype=q.dtype)
     at = 0
@@ -108,7 +106,7 @@ def attend(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def attend_backward(  # type: ignore[no-untyped-def]
+def attend_backward(
     q, k, v, q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale, weights, grad, d_q, d_k, d_v
 ):
     """Add the gradients of ``attend`` to ``d_q``, ``d_k`` and ``d_v``, laid out like ``q``, ``k`` and ``v``."""

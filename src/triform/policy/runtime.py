@@ -21,7 +21,7 @@ _MAPS_AT_ONCE = 16
 
 
 @kernel
-def _sort_by_count(counts, begins, order, first):  # type: ignore[no-untyped-def]
+def _sort_by_count(counts, begins, order, first):
     """Sort maps by their number of patches, keeping their order where it is the same.
 
     Args:
@@ -47,7 +47,7 @@ def _sort_by_count(counts, begins, order, first):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _fill_rows(patches, positions, first, maps, tokens, places):  # type: ignore[no-untyped-def]
+def _fill_rows(patches, positions, first, maps, tokens, places):
     """Lay the patches of ``maps`` side by side, each map's behind an empty patch for its class token.
 
     Args:
@@ -69,7 +69,7 @@ def _fill_rows(patches, positions, first, maps, tokens, places):  # type: ignore
 
 
 @kernel
-def _fits(patches, positions, counts, cells, per_map):  # type: ignore[no-untyped-def]
+def _fits(patches, positions, counts, cells, per_map):
     """Whether packed maps have patches of ``cells`` cells, at most ``per_map`` of them each."""
     if patches.shape[1] != cells or patches.shape[0] != positions.shape[0]:
         return False
@@ -85,7 +85,7 @@ def _fits(patches, positions, counts, cells, per_map):  # type: ignore[no-untype
 
 
 @kernel
-def _fill_maps(patches, positions, counts, token, patch, maps):  # type: ignore[no-untyped-def]
+def _fill_maps(patches, positions, counts, token, patch, maps):
     """Lay out whole maps; returns the token after theirs.
 
     Args:

@@ -22,7 +22,7 @@ _SAME_TIME = 1e-9
 
 
 @kernel
-def _mixed(value):  # type: ignore[no-untyped-def]
+def _mixed(value):
     """The output function of SplitMix64: a bijection of 64-bit numbers that looks random."""
     value ^= value >> np.uint64(30)
     value *= np.uint64(0xBF58476D1CE4E5B9)
@@ -32,7 +32,7 @@ def _mixed(value):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _fill(keys, slot, out):  # type: ignore[no-untyped-def]
+def _fill(keys, slot, out):
     golden = np.uint64(0x9E3779B97F4A7C15)
     for b in range(out.shape[0]):
         for i in range(out.shape[1]):

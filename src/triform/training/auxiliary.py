@@ -29,9 +29,7 @@ _REACH = 0.45
 
 
 @kernel
-def _token_targets(  # type: ignore[no-untyped-def]
-    patches, positions, counts, seen, patch, columns, cell, half, out, valid
-):
+def _token_targets(patches, positions, counts, seen, patch, columns, cell, half, out, valid):
     token = 0
     for m in range(counts.shape[0]):
         for _ in range(counts[m]):
