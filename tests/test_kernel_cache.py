@@ -18,7 +18,9 @@ RUN = """
 from triform.kernels import kernels_compiled
 print(kernels_compiled())
 from triform.simulation.moving_ray_kernels import seen_within
-seen_within((0.2, 0.1, False), (0.0, 0.1, 2.0), 0.0)
+from triform.simulation.ray_kernels import ScanRays
+from triform.types import Body
+seen_within(Body(0.2, 0.1, False), ScanRays(0.0, 0.1, 2.0, (), ()), 0.0)
 print(seen_within.stats.cache_path)
 print(sum(seen_within.stats.cache_hits.values()))
 """

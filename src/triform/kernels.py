@@ -48,12 +48,12 @@ def kernels_compiled() -> bool:
 
 
 def _digest() -> str:
-    """Digest of all modules with kernels, this one, and the module whose constants kernels take."""
+    """Digest of all modules with kernels or groups of their arguments, and of those whose constants they take."""
     package = Path(__file__).parent
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         source = path.read_bytes()
-        if b"\n@kernel" in source or path in (Path(__file__), package / "types.py"):
+        if b"\n@kernel" in source or b"(NamedTuple)" in source or path in (Path(__file__), package / "types.py"):
             digest.update(path.relative_to(package).as_posix().encode() + b"\0" + source + b"\0")
     return digest.hexdigest()[:16]
 

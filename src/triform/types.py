@@ -13,7 +13,7 @@ A *pose* is ``(x, y, heading)`` in the world frame [m, m, rad]; a *body twist*, 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,20 @@ def require(condition: bool, message: str) -> None:
     """Refuse a configuration: raise ``ConfigurationError(message)`` unless ``condition`` holds."""
     if not condition:
         raise ConfigurationError(message)
+
+
+class Body(NamedTuple):
+    """Outline of all robots, as kernels take it.
+
+    Attributes:
+        half_length: Half the length of a box along x, or the radius of a circle [m].
+        half_width: Half the width of a box along y, or the radius again [m].
+        is_circle: Whether robots are circles rather than boxes.
+    """
+
+    half_length: float
+    half_width: float
+    is_circle: bool
 
 
 @dataclass(frozen=True)

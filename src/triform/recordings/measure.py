@@ -19,7 +19,8 @@ from triform.recordings.resample import Recording, read_recordings
 from triform.report.output import prepare_file, prepare_folder, write_json
 from triform.report.tables import progress_bar, require_parquet, write_parquet
 from triform.simulation import ROBOMASTER_EP, Arena, Footprint
-from triform.simulation.world_kernels import record_contacts
+from triform.simulation.ray_kernels import Scene
+from triform.simulation.world_kernels import Contacts, record_contacts
 from triform.threads import limit_threads
 from triform.types import require
 
@@ -149,10 +150,10 @@ def any_overlap(trajectory: Trajectory, footprint: Footprint) -> bool:
     """Tell whether two footprints overlap at any record of a single run; touching is no overlap."""
     poses, active = np.ascontiguousarray(trajectory.poses[0]), np.ascontiguousarray(trajectory.active[0])
     records, arena = len(poses), Arena.open()
-    closest, overlapped, hit = np.full(records, np.inf), *np.zeros((2, records), dtype=np.bool_)
+    contacts = Contacts(np.full(records, np.inf), *np.zeros((2, records), dtype=np.bool_))
     # Every record is a world of its own to the kernel.
-    record_contacts(poses, active, footprint.body, arena.walls, arena.pillars, closest, overlapped, hit, 0, records)
-    return bool(overlapped.any())
+    record_contacts(poses, active, Scene(footprint.body, arena.walls, arena.pillars), contacts, 0, records)
+    return bool(contacts.collided.any())
 
 
 def describe_recorded(config: RecordedConfig, recordings: list[Recording]) -> dict[str, Any]:
