@@ -17,6 +17,7 @@ from triform.perception import map_workspace, occupied_into
 from triform.simulation import is_connected
 from triform.simulation.lidar import cast_world, scan_rays
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
+from triform.simulation.ray_kernels import Scene
 from triform.types import SENSING_RANGE, FloatArray, MapArray, MapConfig, ScanConfig, TriformError, require
 
 #: Placements drawn before giving up.
@@ -159,8 +160,7 @@ def _draw_records(
     axes = np.empty((robots, 2))
     grid, scratch, cells = map_workspace(size)
     at_rest = np.zeros(3)
-    walls = np.empty((0, 4))
-    pillars = np.empty((0, 3))
+    scene = Scene(body, np.empty((0, 4)), np.empty((0, 3)))
     for e in range(records):
         if not _place(rng, side, min_spacing, poses):
             return False
@@ -179,7 +179,7 @@ def _draw_records(
                 poses[i, 1] += jitter * rng.standard_normal()
         expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, twists)
         commands[e] = twists
-        cast_world(poses, active, body, walls, pillars, scan, axes, ranges)
+        cast_world(poses, active, scene, scan, axes, ranges)
         for i in range(robots):
             kept = occupied_into(
                 ranges[i], at_rest, cos_rays, sin_rays, range_max, cell, min_cells, max_cells, grid, scratch, cells

@@ -19,7 +19,8 @@ from triform.perception import map_workspace, occupied_into
 from triform.simulation.cast_kernels import cast_robot, find_axes
 from triform.simulation.lidar import scan_rays
 from triform.simulation.profiles import ROBOMASTER_EP
-from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, require
+from triform.simulation.ray_kernels import Scene
+from triform.types import Body, FloatArray, MapArray, MapConfig, ScanConfig, require
 
 #: Robots that a view tells of, at most; any others are left out.
 SEEN = 24
@@ -121,11 +122,11 @@ def _place(rng, robots, positions):
 
 @kernel
 def draw_body(rng, usual, distances, ep):
-    """Draw d* [m] and the outline of all robots in units of it: (d*, (half length, half width, round))."""
+    """Draw d* [m] and the outline of all robots in units of it: (d*, ``Body``)."""
     distance = 1.0
     if rng.random() < 0.5:
         distance = distances[0] * (distances[1] / distances[0]) ** rng.random()
-    half_length, half_width, round_ = ep[0], ep[1], False
+    half_length, half_width, round_ = ep.half_length, ep.half_width, False
     if rng.random() >= usual:
         if rng.random() < 0.5:
             half_length = half_width = 0.05 + 0.15 * rng.random()
@@ -133,7 +134,13 @@ def draw_body(rng, usual, distances, ep):
         else:
             half_length = 0.10 + 0.12 * rng.random()
             half_width = half_length * (0.6 + 0.4 * rng.random())
-    return distance, (half_length / distance, half_width / distance, round_)
+    return distance, Body(half_length / distance, half_width / distance, round_)
+
+
+@kernel
+def blocking_radius(body):
+    """Radius of the disc for which a robot blocks sight: half its mean width."""
+    return body.half_length if body.is_circle else (body.half_length + body.half_width) / 2.0
 
 
 @kernel
@@ -165,7 +172,7 @@ def longest_team(offsets, sizes):
 
 @kernel
 def label_workspace(longest):
-    """Workspace of ``label_robot`` for teams of up to ``longest`` robots."""
+    """Working room of ``label_robot`` for teams of up to ``longest`` robots."""
     return (
         np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest),
         np.empty((longest, longest), dtype=np.bool_), np.empty((longest, EDGE_TERMS)),
@@ -267,7 +274,7 @@ def _draw_views(
             continue
         positions = team[:robots]
         distance, body = draw_body(rng, usual, distances, ep)
-        blocking = body[0] if body[2] else (body[0] + body[1]) / 2.0
+        blocking = blocking_radius(body)
         sigma = noise * rng.random() / distance if rng.random() < noisy else 0.0
         lost = dropout * rng.random() if rng.random() < dropping else 0.0
         wall_count = pillar_count = 0
@@ -290,9 +297,8 @@ def _draw_views(
             for k in range(near):
                 poses[k, 2] = (2.0 * rng.random() - 1.0) * np.pi
             find_axes(poses[:near], axes)
-            cast_robot(
-                0, poses[:near], active[:near], body, walls[:wall_count], pillars[:pillar_count], scan, axes, ranges
-            )
+            scene = Scene(body, walls[:wall_count], pillars[:pillar_count])
+            cast_robot(0, poses[:near], active[:near], scene, scan, axes, ranges)
             for k in range(ranges.shape[0]):
                 if sigma > 0.0 and np.isfinite(ranges[k]):
                     ranges[k] += sigma * rng.standard_normal()

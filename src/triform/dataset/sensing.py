@@ -9,6 +9,7 @@ from triform.kernels import kernel
 from triform.perception import map_workspace, occupied_into
 from triform.simulation import Arena, Footprint
 from triform.simulation.lidar import cast_world, scan_rays
+from triform.simulation.ray_kernels import Scene
 from triform.types import FloatArray, IntArray, MapConfig, ScanConfig
 
 #: A return marks a block of 3 x 3 cells.
@@ -18,9 +19,7 @@ _CELLS_PER_RAY = 9
 @kernel
 def _sense_into(
     poses,
-    body,
-    walls,
-    pillars,
+    scene,
     scan,
     size,
     cell,
@@ -40,7 +39,7 @@ def _sense_into(
     filled = 0
     offsets[0] = 0
     for b in range(poses.shape[0]):
-        cast_world(poses[b], active, body, walls, pillars, scan, axes, ranges)
+        cast_world(poses[b], active, scene, scan, axes, ranges)
         for i in range(robots):
             count = occupied_into(
                 ranges[i], at_rest, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, found
@@ -80,9 +79,7 @@ def sense(
     arena = Arena.open()
     _sense_into(
         np.ascontiguousarray(poses),
-        footprint.body,
-        arena.walls,
-        arena.pillars,
+        Scene(footprint.body, arena.walls, arena.pillars),
         scan_rays(scan),
         map_config.size,
         float(map_config.cell),

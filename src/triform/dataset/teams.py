@@ -15,6 +15,7 @@ from triform.control.triangulating import TriangulatingLaw
 from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES
 from triform.dataset.scenes import (
     SceneConfig,
+    blocking_radius,
     draw_body,
     draw_positions,
     label_robot,
@@ -92,7 +93,7 @@ def _draw_states(
         if count == 0:
             continue
         _, body = draw_body(rng, usual, distances, ep)
-        blocking[teams] = body[0] if body[2] else (body[0] + body[1]) / 2.0
+        blocking[teams] = blocking_radius(body)
         first = offsets[teams]
         for k in range(count):
             poses[first + k, 0], poses[first + k, 1] = team[k, 0], team[k, 1]

@@ -25,7 +25,7 @@ _ROUNDING = 1e-12
 
 @kernel
 def make_workspace(count):
-    """Workspace for ``list_neighbours`` among ``count`` robots."""
+    """Working room for ``list_neighbours`` among ``count`` robots."""
     stack = np.empty(SEARCH_DEPTH, dtype=np.int64)
     near = np.empty(count, dtype=np.int64)
     return stack, near, np.empty(count), np.empty(count), np.empty(count), np.empty(count, dtype=np.int64)
