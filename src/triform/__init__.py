@@ -48,6 +48,7 @@ _MODULES = {
     "triform.experiments.evaluate": ("evaluate",),
 }
 
+
 def __getattr__(name: str) -> Any:
     for module, names in _MODULES.items():
         if name in names:
