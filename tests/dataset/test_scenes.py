@@ -101,9 +101,9 @@ def test_the_label_is_what_the_law_does_there(seed: int, robots: int) -> None:
         np.testing.assert_allclose(views.commands[m, 3], pushed[:2], atol=1e-9)
         # What each robot adds is known, and with a bridge there is a pull besides.
         told = views.seen[m][np.isfinite(views.seen[m, :, 0])]
-        rest = free.commands[m, :2] - told[:, 2:4].sum(axis=0) - LAW.compaction_speed * views.facts[m, 3:]
-        assert views.facts[m, 0] in (0.0, 1.0)
-        assert np.linalg.norm(rest) < (LAW.bridge_pull if views.facts[m, 0] else 0.0) + 1e-9
+        rest = free.commands[m, :2] - told[:, 2:4].sum(axis=0) - LAW.compaction_speed * views.features[m, 3:]
+        assert views.features[m, 0] in (0.0, 1.0)
+        assert np.linalg.norm(rest) < (LAW.bridge_pull if views.features[m, 0] else 0.0) + 1e-9
         assert set(told[:, 4:].reshape(-1)) <= {0.0, 1.0}
 
 
@@ -134,13 +134,13 @@ def test_views_are_a_function_of_the_generators_state() -> None:
     visited = StateBuffer.of_teams(np.stack([spread(k, 6) for k in range(5)]))
     config = SceneConfig(pillared=0.5)
     one, again, other = (draw(seed, 60, config, visited) for seed in (1, 1, 2))
-    for name in ("maps", "commands", "seen", "facts"):
+    for name in ("maps", "commands", "seen", "features"):
         np.testing.assert_array_equal(getattr(one, name), getattr(again, name))
         assert not np.array_equal(getattr(one, name), getattr(other, name))
     assert one.maps.shape == (60, 100, 100)
     assert one.commands.shape == (60, 4)
     assert np.isfinite(one.commands).all()
-    assert np.isfinite(one.facts).all()
+    assert np.isfinite(one.features).all()
     assert not one.commands[:, 2].any()
     assert (np.linalg.norm(one.commands[:, :2], axis=1) <= config.max_speed + 1e-12).all()
     assert draw(1, 0, config).maps.shape == (0, 100, 100)

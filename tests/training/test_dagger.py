@@ -212,7 +212,7 @@ def test_batches_are_functions_of_seed_number_and_states() -> None:
     np.testing.assert_array_equal(third[0].commands, third[1].commands)
     np.testing.assert_array_equal(third[0].packed.patches, third[1].packed.patches)
     assert third[0].commands.shape == (20, 4)
-    assert third[0].facts.shape == (20, 5)
+    assert third[0].features.shape == (20, 5)
     assert not np.array_equal(next(source.batches(4))().commands, third[0].commands)
     source.visited = teacher_states(TriangulatingLaw(), 1, TEACHER)
     assert not np.array_equal(next(source.batches(3))().commands, third[0].commands)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from triform.control.triangulating import TriangulatingLaw
-from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, hidden, triangulate
+from triform.control.triangulating_kernels import LAW_EDGE_FEATURES, LAW_FEATURES, hidden, law_workspace, triangulate
 from triform.dataset.state_buffer import StateBuffer
 from triform.kernels import kernel
 from triform.perception import map_workspace, occupied_into
@@ -92,14 +92,15 @@ class Views:
         maps: Occupancy maps, uint8, shape (M, H, W).
         commands: Mean velocity (x, y), turn rate (0) and amplitude of the push [d*/s, rad/s, d*/s], shape (M, 4).
         seen: The robots in sight: x, y [d*], what each adds to the velocity (2) [d*/s], whether it is a Gabriel
-            neighbour and whether it shares one with this robot; the rest infinite, shape (M, SEEN, 2 + EDGE_TERMS).
-        facts: Facts of ``triangulate``, shape (M, FEATURES).
+            neighbour and whether it shares one with this robot; the rest infinite, shape
+            (M, SEEN, 2 + LAW_EDGE_FEATURES).
+        features: Features of ``LawWorkspace``, shape (M, LAW_FEATURES).
     """
 
     maps: MapArray
     commands: FloatArray
     seen: FloatArray
-    facts: FloatArray
+    features: FloatArray
 
 
 @kernel
@@ -171,15 +172,6 @@ def longest_team(offsets, sizes):
 
 
 @kernel
-def label_workspace(longest):
-    """Working room of ``label_robot`` for teams of up to ``longest`` robots."""
-    return (
-        np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest),
-        np.empty((longest, longest), dtype=np.bool_), np.empty((longest, EDGE_TERMS)),
-    )  # fmt: skip
-
-
-@kernel
 def _draw_room(rng, positions, walls):
     """Write the four walls of a room of random orientation around ``positions`` (N, 2), 0.25 to 2.25 from them."""
     angle = np.pi * rng.random()
@@ -217,11 +209,11 @@ def _draw_pillar(rng, positions, pillar):
 
 
 @kernel
-def label_robot(positions, i, heading, law, blocking, max_speed, room, command, seen, facts):
+def label_robot(positions, i, heading, law, blocking, max_speed, workspace, command, seen, features):
     """Write what the law does for robot i and what it sees, in its body frame; arguments as ``Views`` has them."""
-    x, y, all_x, all_y, linked, terms = room
+    x, y, all_x, all_y = workspace.x, workspace.y, workspace.all_x, workspace.all_y
     # A robot is seen as long as its near side is within range.
-    sight = min(law[0], 2.0 + 0.7 * blocking)
+    sight = min(law.sight, 2.0 + 0.7 * blocking)
     cos, sin = np.cos(heading), np.sin(heading)
     all_x[0] = all_y[0] = x[0] = y[0] = 0.0
     near = 1
@@ -235,23 +227,24 @@ def label_robot(positions, i, heading, law, blocking, max_speed, room, command, 
         if not hidden(all_x, all_y, near, k, blocking):
             x[count], y[count] = all_x[k], all_y[k]
             count += 1
-    v_x, v_y, push = triangulate(x, y, count, law, linked, terms, facts)
+    v_x, v_y, push = triangulate(count, law, workspace)
+    features[:] = workspace.features
     speed = np.sqrt(v_x * v_x + v_y * v_y)
     scale = max_speed / speed if speed > max_speed else 1.0
     command[0], command[1], command[2], command[3] = scale * v_x, scale * v_y, 0.0, push
     seen[:] = np.inf
     for k in range(1, min(count, seen.shape[0] + 1)):
         seen[k - 1, 0], seen[k - 1, 1] = x[k], y[k]
-        for c in range(EDGE_TERMS):
-            seen[k - 1, 2 + c] = terms[k, c]
+        for c in range(LAW_EDGE_FEATURES):
+            seen[k - 1, 2 + c] = workspace.edge_features[k, c]
 
 
 @kernel
 def _draw_views(
     rng, visited, offsets, placed, sizes, jitter, distances, usual, ep, noisy, noise, dropping, dropout, walled,
-    pillared, views, max_speed, law, scan, cell, min_cells, max_cells, maps, commands, seen, facts
+    pillared, views, max_speed, law, scan, cell, min_cells, max_cells, maps, commands, seen, features
 ):  # fmt: skip
-    """Fill ``maps``, ``commands``, ``seen`` and ``facts`` of ``Views``.
+    """Fill ``maps``, ``commands``, ``seen`` and ``features`` of ``Views``.
 
     Other arguments are those of ``draw_views`` and ``SceneConfig``; the states with positions ``visited`` (K, 2) begin
     at ``offsets`` (E + 1,).
@@ -262,7 +255,7 @@ def _draw_views(
     team = np.empty((longest, 2))
     poses, axes = np.empty((longest, 3)), np.empty((longest, 2))
     active = np.ones(longest, dtype=np.bool_)
-    room = label_workspace(longest)
+    workspace = law_workspace(longest)
     ranges = np.empty(cos_rays.shape[0])
     walls, pillars = np.empty((4, 4)), np.empty((1, 3))
     at_rest = np.zeros(3)
@@ -309,7 +302,9 @@ def _draw_views(
             )
             for q in range(kept):
                 maps[m, cells[q] // size, cells[q] % size] = 1
-            label_robot(poses[:near], 0, poses[0, 2], law, blocking, max_speed, room, commands[m], seen[m], facts[m])
+            label_robot(
+                poses[:near], 0, poses[0, 2], law, blocking, max_speed, workspace, commands[m], seen[m], features[m]
+            )
             m += 1
 
 
@@ -337,14 +332,14 @@ def draw_views(
     out = Views(
         np.zeros((maps, size, size), dtype=np.uint8),
         np.empty((maps, 4)),
-        np.empty((maps, SEEN, 2 + EDGE_TERMS)),
-        np.empty((maps, FEATURES)),
+        np.empty((maps, SEEN, 2 + LAW_EDGE_FEATURES)),
+        np.empty((maps, LAW_FEATURES)),
     )
     _draw_views(
         rng, visited.positions, visited.offsets, config.placed, config.sizes, np.array(config.jitter),
         config.distances, config.usual, ROBOMASTER_EP.body, config.noisy, config.noise, config.dropping,
         config.dropout, config.walled, config.pillared, config.views, config.max_speed, law.constants,
         scan_rays(scan), map_config.cell, map_config.min_cells, map_config.max_cells,
-        out.maps, out.commands, out.seen, out.facts,
+        out.maps, out.commands, out.seen, out.features,
     )  # fmt: skip
     return out
