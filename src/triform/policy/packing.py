@@ -39,7 +39,7 @@ def append_patches(cells, count, size, patch, keep_all, slots, patches, position
         size: Cells along each side of the map.
         patch: Cells along each side of a patch.
         keep_all: Whether to keep empty patches too.
-        slots: Working room, int32, shape (P,) for the P patches of a map; must be all -1 and is left all -1.
+        slots: Workspace, int32, shape (P,) for the P patches of a map; must be all -1 and is left all -1.
         patches: Patches, shape (K, patch * patch), with room for P more.
         positions: Their positions, shape (K,).
         token: Patches before.
