@@ -20,11 +20,12 @@ from triform.dataset.scenes import (
     draw_positions,
     label_robot,
     longest_team,
+    scene_draws,
+    visited_states,
 )
 from triform.dataset.state_buffer import StateBuffer
 from triform.kernels import kernel
 from triform.policy import RadiusGraph, hear
-from triform.simulation.profiles import ROBOMASTER_EP
 from triform.types import BoolArray, FloatArray, IntArray
 
 #: A robot of the law is the one of an edge if both lie in the same place; two sums may differ in the last bits [d*].
@@ -77,21 +78,19 @@ class TeamLabels:
 
 
 @kernel
-def _draw_states(
-    rng, robots, visited, visited_offsets, placed, sizes, jitter, distances, usual, ep, poses, offsets, blocking
-):
-    """Fill ``poses``, ``offsets`` and ``blocking`` of ``TeamStates``; returns the number of teams.
+def _draw_states(rng, robots, visited, draws, poses, offsets, blocking):
+    """Fill ``poses``, ``offsets`` and ``blocking`` of ``TeamStates`` until they hold ``robots`` robots.
 
-    Other arguments are those of ``draw_states`` and ``SceneConfig``.
+    The states come from ``VisitedStates`` and ``SceneDraws``; returns the number of teams.
     """
-    team = np.empty((longest_team(visited_offsets, sizes), 2))
+    team = np.empty((longest_team(visited, draws), 2))
     teams = 0
     offsets[0] = 0
     while offsets[teams] < robots:
-        count = draw_positions(rng, visited, visited_offsets, placed, sizes, jitter, team)
+        count = draw_positions(rng, visited, draws, team)
         if count == 0:
             continue
-        _, body = draw_body(rng, usual, distances, ep)
+        _, body = draw_body(rng, draws)
         blocking[teams] = blocking_radius(body)
         first = offsets[teams]
         for k in range(count):
@@ -118,9 +117,8 @@ def _label_states(
         team = poses[first : offsets[t + 1]]
         for i in range(team.shape[0]):
             own = first + i
-            label_robot(
-                team, i, team[i, 2], law, blocking[t], max_speed, workspace, commands[own], around, features[own]
-            )
+            label_robot(team, i, team[i, 2], law, blocking[t], max_speed, workspace, commands[own], around)
+            features[own] = workspace.features
             cos, sin = np.cos(team[i, 2]), np.sin(team[i, 2])
             # Both lists name robots in growing order.
             at = 0
@@ -148,13 +146,11 @@ def draw_states(rng: np.random.Generator, robots: int, config: SceneConfig, visi
         config: What varies; of the sensor and of arenas nothing is used.
         visited: States to draw from; without any, all states are random placements.
     """
-    longest = longest_team(visited.offsets, config.sizes)
+    states, draws = visited_states(visited), scene_draws(config)
+    longest = longest_team(states, draws)
     poses = np.empty((robots + longest, 3))
     offsets, blocking = np.empty(robots + 1, dtype=np.int64), np.empty(robots)
-    teams = _draw_states(
-        rng, robots, visited.positions, visited.offsets, config.placed, config.sizes, np.array(config.jitter),
-        config.distances, config.usual, ROBOMASTER_EP.body, poses, offsets, blocking,
-    )  # fmt: skip
+    teams = _draw_states(rng, robots, states, draws, poses, offsets, blocking)
     return TeamStates(poses[: offsets[teams]], offsets[: teams + 1], blocking[:teams])
 
 
