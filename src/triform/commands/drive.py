@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rich.console import Console
 
+from triform.commands.drive_screen import DriveScreen
 from triform.robots.drive import DriveConfig, run_drive
 
 
@@ -14,5 +15,5 @@ class Drive(DriveConfig):
     """Options of ``triform drive``."""
 
     def run(self, console: Console) -> None:
-        """Run the command and show its results on a console."""
-        run_drive(self, console)
+        """Drive, show how it goes, and where the time went."""
+        run_drive(self, DriveScreen(console, self.outline, self.dry_run))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rich.console import Console
 
+from triform.commands.screen import Screen
 from triform.robots.emulate import EmulateConfig, run_emulate
 
 
@@ -14,5 +15,6 @@ class Emulate(EmulateConfig):
     """Options of ``triform emulate``."""
 
     def run(self, console: Console) -> None:
-        """Run the command and show its results on a console."""
-        run_emulate(self, console)
+        """Emulate, and show how to drive the robots."""
+        screen = Screen(console)
+        run_emulate(self, screen.say, screen.warn)

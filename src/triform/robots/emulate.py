@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from ipaddress import AddressValueError, IPv4Address
@@ -15,13 +16,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from rich.console import Console
 
 from triform.robots.ldrobot import MODELS, LidarEmulator, LidarModel
 from triform.robots.recorder import POSE_COLUMNS, CsvLog
 from triform.robots.robomaster import RoboMasterEmulator
-from triform.robots.screen import Screen
-from triform.robots.stop_signals import StopSignals
+from triform.signals import StopSignals
 from triform.simulation import (
     Arena,
     LidarConfig,
@@ -216,27 +215,27 @@ def drive_command(config: EmulateConfig, emulation: Emulation, robot: int) -> st
     )
 
 
-def run_emulate(config: EmulateConfig, console: Console) -> None:
+def run_emulate(config: EmulateConfig, say: Callable[[str], object], warn: Callable[[str], None]) -> None:
     """Emulate robots in real time.
 
     Args:
         config: Which robots, and for how long.
-        console: Where to show how to drive them and, at the end, how well the clock was kept.
+        say: Called with how to drive them and, at the end, how well the clock was kept.
+        warn: Called with a sentence if the recording cannot go on.
 
     Raises:
         TriformError: There is no such arena, a port cannot be opened, or the recording cannot be begun.
         SystemExit: A signal ended the run.
     """
-    screen = Screen(console)
     with closing(Emulation(config)) as emulation, ExitStack() as stack:
         # The first steps load compiled kernels, which takes longer than any LiDAR is silent.
         while emulation.time <= config.latency + STEP:
             emulation.step()
         log = None
         if config.record is not None:
-            log = stack.enter_context(closing(CsvLog(config.record, POSE_COLUMNS, screen.warn)))
+            log = stack.enter_context(closing(CsvLog(config.record, POSE_COLUMNS, warn)))
         for robot in range(config.robots):
-            screen.print(drive_command(config, emulation, robot))
+            say(drive_command(config, emulation, robot))
         duration = config.duration or math.inf
         longest_behind, steps, began = 0.0, 0, time.monotonic() - emulation.time
         try:
@@ -254,7 +253,7 @@ def run_emulate(config: EmulateConfig, console: Console) -> None:
         finally:
             took = time.monotonic() - began
             factor = emulation.time / took
-            screen.print(
+            say(
                 f"{emulation.time:.1f} s emulated in {took:.1f} s, at most {1000 * longest_behind:.0f} ms behind: "
                 f"real-time factor {factor:.3f}"
             )

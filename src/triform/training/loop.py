@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 from collections.abc import Callable
 from contextlib import ExitStack
 from itertools import pairwise
@@ -17,6 +18,7 @@ from triform.control.triangulating_kernels import LAW_FEATURES
 from triform.files import exclusive, make_folder, write_atomically
 from triform.policy import describe_network
 from triform.policy.kinds import make_network
+from triform.signals import StopSignals
 from triform.training.auxiliary import TARGETS, AuxiliaryHead, feature_loss, token_loss
 from triform.training.batches import DeviceBatch, SceneSource, TrainBatch, open_source
 from triform.training.checkpoints import STATE_FILE, Checkpoints, Progress
@@ -27,7 +29,6 @@ from triform.training.prefetch import Prefetched
 from triform.training.presets import TrainConfig
 from triform.training.processes import Processes, joined, local_device
 from triform.training.state import load_state, read_progress
-from triform.training.stopping import stop_requests
 from triform.types import TriformError, require
 
 CONFIG_FILE = "train.json"
@@ -180,7 +181,7 @@ def train(
         if resume and (out / STATE_FILE).exists():
             load_state(out / STATE_FILE, learner, optimizer)
             record = read_progress(out / STATE_FILE)
-        stopping = held.enter_context(stop_requests())
+        signals = held.enter_context(StopSignals(always=(), unless_ignored=(signal.SIGINT, signal.SIGTERM)))
         books = None
         if isinstance(source, SceneSource):
             # Validation draws from the teacher's states too.
@@ -202,7 +203,7 @@ def train(
             with prefetched as batches:
                 for step in range(first, end):
                     batch = next(batches)
-                    shared = torch.tensor([batch.valid.sum(), stopping()], dtype=torch.float64)
+                    shared = torch.tensor([batch.valid.sum(), signals.received], dtype=torch.float64)
                     processes.add(shared)
                     tokens, stops = shared.tolist()
                     loss, norm = _gradient(learner, parameters, processes, batch, config, max(tokens, 1.0))
