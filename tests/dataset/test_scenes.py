@@ -33,7 +33,6 @@ def draws_of(placed: float, sizes: tuple[int, int], jitter: Sequence[float] = (0
     return scene_draws(SceneConfig(placed=placed, sizes=sizes, jitter=tuple(jitter)))
 
 
-
 def draw(
     seed: int, maps: int, config: SceneConfig, visited: StateBuffer | None = None, law: TriangulatingLaw = LAW
 ) -> Views:
@@ -170,9 +169,7 @@ def test_placements_keep_their_spacing_and_hang_together(seed: int, sizes: tuple
 def test_every_size_is_placed() -> None:
     rng, team, nobody = np.random.default_rng(1), np.empty((20, 2)), StateBuffer.none()
     config = SceneConfig()
-    counts = [
-        draw_positions(rng, visited_states(nobody), draws_of(0.15, config.sizes), team) for _ in range(600)
-    ]
+    counts = [draw_positions(rng, visited_states(nobody), draws_of(0.15, config.sizes), team) for _ in range(600)]
     assert set(range(2, 21)) <= set(counts) <= {0, *range(2, 21)}
     assert counts.count(0) < 30
 
