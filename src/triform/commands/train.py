@@ -18,9 +18,11 @@ class Train:
 
     Attributes:
         out: Folder for state, logs and the best and last policy.
-        preset: ``default`` learns the triangulating law, and ``cnn``, ``gnn`` and ``dense`` do so with other networks;
-            ``springs`` learns an expert of springs, ``large`` so with the paper's network, and ``paper`` is Algorithm 1
-            as printed, which needs ``--data``.
+        preset: ``default`` learns the triangulating law, ``quick`` so in minutes with a small network, and ``cnn``,
+            ``gnn`` and ``dense`` so with other networks; ``springs`` learns an expert of springs, ``large`` so with the
+            paper's network, and ``paper`` is Algorithm 1 as printed, which needs ``--data``.
+        profile: Robot to train for: a name or a TOML file. Most scenes have its outline, rays are as many as its
+            LiDAR's, and errors at least as large. If omitted, most scenes have a RoboMaster EP.
         data: Stored demonstrations; fresh ones are drawn if omitted.
         maps: Maps to train on. The preset's if omitted.
         teacher: Who labels: ``expert``, ``expert-sensed`` or ``expert-odd``. The data set's or the
@@ -37,7 +39,8 @@ class Train:
     """
 
     out: Path
-    preset: Literal["default", "springs", "large", "paper", "cnn", "gnn", "dense"] = "default"
+    preset: Literal["default", "quick", "springs", "large", "paper", "cnn", "gnn", "dense"] = "default"
+    profile: str | None = None
     data: Path | None = None
     maps: int | None = None
     teacher: str | None = None
@@ -55,6 +58,7 @@ class Train:
         import torch
 
         from triform.dataset import load_manifest
+        from triform.simulation import get_profile
         from triform.training import get_preset, train
         from triform.training.processes import launched
 
@@ -70,6 +74,8 @@ class Train:
         if self.data is not None and self.teacher is None and preset.scenes is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(preset, **given)
+        if self.profile is not None:
+            config = config.for_robot(get_profile(self.profile))
         with maps_progress(console) as update:
             best = train(
                 config,

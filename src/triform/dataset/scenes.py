@@ -18,7 +18,7 @@ from triform.kernels import kernel
 from triform.perception import map_workspace, occupied_into
 from triform.simulation.cast_kernels import cast_robot, find_axes
 from triform.simulation.lidar import scan_rays
-from triform.simulation.profiles import ROBOMASTER_EP
+from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.simulation.ray_kernels import Scene
 from triform.types import Body, FloatArray, MapArray, MapConfig, ScanConfig, require
 
@@ -38,7 +38,8 @@ class SceneConfig:
         sizes: Least and largest team of a random placement.
         jitter: Standard deviations of normal offsets added to visited states, one of which is drawn [d*].
         distances: Least and largest d* that a policy is meant for [m]; half of the states have 1 m.
-        usual: Share of states whose robots have the outline of a RoboMaster EP; the others are boxes and circles.
+        footprint: Usual outline of the robots.
+        usual: Share of states whose robots have that outline; the others are boxes and circles.
         noisy: Share of states whose ranges are noisy.
         noise: Largest standard deviation of their noise [m].
         dropping: Share of states in which rays are lost.
@@ -53,6 +54,7 @@ class SceneConfig:
     sizes: tuple[int, int] = (2, 20)
     jitter: tuple[float, ...] = (0.0, 0.0, 0.005, 0.015, 0.03, 0.06)
     distances: tuple[float, float] = (0.6, 1.5)
+    footprint: Footprint = ROBOMASTER_EP
     usual: float = 0.7
     noisy: float = 0.4
     noise: float = 0.03
@@ -121,12 +123,12 @@ def _place(rng, robots, positions):
 
 
 @kernel
-def draw_body(rng, usual, distances, ep):
+def draw_body(rng, usual, distances, outline):
     """Draw d* [m] and the outline of all robots in units of it: (d*, ``Body``)."""
     distance = 1.0
     if rng.random() < 0.5:
         distance = distances[0] * (distances[1] / distances[0]) ** rng.random()
-    half_length, half_width, round_ = ep.half_length, ep.half_width, False
+    half_length, half_width, round_ = outline.half_length, outline.half_width, outline.is_circle
     if rng.random() >= usual:
         if rng.random() < 0.5:
             half_length = half_width = 0.05 + 0.15 * rng.random()
@@ -134,6 +136,7 @@ def draw_body(rng, usual, distances, ep):
         else:
             half_length = 0.10 + 0.12 * rng.random()
             half_width = half_length * (0.6 + 0.4 * rng.random())
+            round_ = False
     return distance, Body(half_length / distance, half_width / distance, round_)
 
 
@@ -248,7 +251,7 @@ def label_robot(positions, i, heading, law, blocking, max_speed, room, command, 
 
 @kernel
 def _draw_views(
-    rng, visited, offsets, placed, sizes, jitter, distances, usual, ep, noisy, noise, dropping, dropout, walled,
+    rng, visited, offsets, placed, sizes, jitter, distances, usual, outline, noisy, noise, dropping, dropout, walled,
     pillared, views, max_speed, law, scan, cell, min_cells, max_cells, maps, commands, seen, facts
 ):  # fmt: skip
     """Fill ``maps``, ``commands``, ``seen`` and ``facts`` of ``Views``.
@@ -273,7 +276,7 @@ def _draw_views(
         if robots == 0:
             continue
         positions = team[:robots]
-        distance, body = draw_body(rng, usual, distances, ep)
+        distance, body = draw_body(rng, usual, distances, outline)
         blocking = blocking_radius(body)
         sigma = noise * rng.random() / distance if rng.random() < noisy else 0.0
         lost = dropout * rng.random() if rng.random() < dropping else 0.0
@@ -342,7 +345,7 @@ def draw_views(
     )
     _draw_views(
         rng, visited.positions, visited.offsets, config.placed, config.sizes, np.array(config.jitter),
-        config.distances, config.usual, ROBOMASTER_EP.body, config.noisy, config.noise, config.dropping,
+        config.distances, config.usual, config.footprint.body, config.noisy, config.noise, config.dropping,
         config.dropout, config.walled, config.pillared, config.views, config.max_speed, law.constants,
         scan_rays(scan), map_config.cell, map_config.min_cells, map_config.max_cells,
         out.maps, out.commands, out.seen, out.facts,

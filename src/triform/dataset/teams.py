@@ -25,7 +25,6 @@ from triform.dataset.scenes import (
 from triform.dataset.state_buffer import StateBuffer
 from triform.kernels import kernel
 from triform.policy import RadiusGraph, hear
-from triform.simulation.profiles import ROBOMASTER_EP
 from triform.types import BoolArray, FloatArray, IntArray
 
 #: A robot of the law is the one of an edge if both lie in the same place; two sums may differ in the last bits [d*].
@@ -79,7 +78,7 @@ class TeamLabels:
 
 @kernel
 def _draw_states(
-    rng, robots, visited, visited_offsets, placed, sizes, jitter, distances, usual, ep, poses, offsets, blocking
+    rng, robots, visited, visited_offsets, placed, sizes, jitter, distances, usual, outline, poses, offsets, blocking
 ):
     """Fill ``poses``, ``offsets`` and ``blocking`` of ``TeamStates``; returns the number of teams.
 
@@ -92,7 +91,7 @@ def _draw_states(
         count = draw_positions(rng, visited, visited_offsets, placed, sizes, jitter, team)
         if count == 0:
             continue
-        _, body = draw_body(rng, usual, distances, ep)
+        _, body = draw_body(rng, usual, distances, outline)
         blocking[teams] = blocking_radius(body)
         first = offsets[teams]
         for k in range(count):
@@ -150,7 +149,7 @@ def draw_states(rng: np.random.Generator, robots: int, config: SceneConfig, visi
     offsets, blocking = np.empty(robots + 1, dtype=np.int64), np.empty(robots)
     teams = _draw_states(
         rng, robots, visited.positions, visited.offsets, config.placed, config.sizes, np.array(config.jitter),
-        config.distances, config.usual, ROBOMASTER_EP.body, poses, offsets, blocking,
+        config.distances, config.usual, config.footprint.body, poses, offsets, blocking,
     )  # fmt: skip
     return TeamStates(poses[: offsets[teams]], offsets[: teams + 1], blocking[:teams])
 
