@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from rich.console import Console
 
@@ -23,7 +23,7 @@ class Train:
             paper's network, and ``paper`` is Algorithm 1 as printed, which needs ``--data``.
         profile: Robot to train for: a name or a TOML file. Most scenes have its outline, rays are as many as its
             LiDAR's, and errors at least as large. If omitted, most scenes have a RoboMaster EP.
-        data: Stored demonstrations; fresh ones are drawn if omitted.
+        data: Folder of stored demonstrations; fresh ones are drawn if omitted.
         maps: Maps to train on. The preset's if omitted.
         teacher: Who labels: ``expert``, ``expert-sensed`` or ``expert-odd``. The data set's or the
             preset's if omitted.
@@ -52,6 +52,11 @@ class Train:
     threads: int = 1
     producers: int | None = None
     resume: bool = False
+
+    GROUPS: ClassVar[dict[str, tuple[str, ...]]] = {
+        "recipe": ("maps", "teacher", "rounds", "learning_rate", "seed", "precision"),
+        "machine": ("device", "threads", "producers"),
+    }
 
     def run(self, console: Console) -> None:
         """Train, with progress, which only the first of several processes shows."""
@@ -92,7 +97,7 @@ class Train:
                 ),
             )
         console.print(
-            f"best policy: {best}; to use it:\ntriform export {best}\ntriform evaluate --weights {best}",
+            f"best policy: {best}; to use it:\ntriform export {best}\ntriform evaluate --controller policy:{best}",
             soft_wrap=True,
             markup=False,
         )
