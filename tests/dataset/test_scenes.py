@@ -16,7 +16,7 @@ from triform.control import Triangulating, TriangulatingLaw
 from triform.dataset import SceneConfig, StateBuffer, Views, draw_views
 from triform.dataset.scenes import SEEN, SceneDraws, draw_body, draw_positions, scene_draws, visited_states
 from triform.geometry import body_to_world
-from triform.simulation import ROBOMASTER_EP
+from triform.simulation import ROBOMASTER_EP, Footprint
 from triform.types import ConfigurationError, MapConfig, PrivilegedView, Scan, ScanConfig
 
 #: Nothing is random but headings, and who is listed first.
@@ -217,6 +217,16 @@ def test_outlines_and_distances_are_drawn_as_documented() -> None:
     np.testing.assert_array_equal(circles[:, 0], circles[:, 1])
     assert ((boxes[:, 0] >= 0.1 - 1e-12) & (boxes[:, 0] <= 0.22 + 1e-12)).all()
     assert ((boxes[:, 1] / boxes[:, 0] >= 0.6 - 1e-12) & (boxes[:, 1] <= boxes[:, 0] + 1e-12)).all()
+
+
+def test_where_circles_are_usual_other_boxes_stay_boxes() -> None:
+    rng, usual = np.random.default_rng(4), Footprint.circle(0.5).body
+    drawn = [draw_body(rng, 0.5, (0.6, 1.5), usual) for _ in range(1000)]
+    sizes = np.array([distance * outline.half_length for distance, outline in drawn])
+    circles = np.array([outline.is_circle for _, outline in drawn])
+    assert circles[np.isclose(sizes, 0.25)].all()
+    assert abs(np.isclose(sizes, 0.25).mean() - 0.5) < 0.05
+    assert abs(circles.mean() - 0.75) < 0.05
 
 
 def test_footprints_in_maps_scale_with_the_distance() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from rich.console import Console
 
@@ -13,6 +14,13 @@ from triform.robots.drive import DriveConfig, run_drive
 @dataclass(frozen=True)
 class Drive(DriveConfig):
     """Options of ``triform drive``."""
+
+    GROUPS: ClassVar[dict[str, tuple[str, ...]]] = {
+        "body": ("profile", "footprint", "max_speed", "max_turn_rate"),
+        "lidar": ("lidar", "lidar_model", "mounting"),
+        "base": ("address", "usb", "local_address", "watchdog", "odometry"),
+        "recording": ("record", "robot", "start_pose"),
+    }
 
     def run(self, console: Console) -> None:
         """Drive, show how it goes, and where the time went."""

@@ -19,7 +19,7 @@ from triform.kernels import kernel
 from triform.perception import map_rules, map_workspace, occupied_into
 from triform.simulation.cast_kernels import cast_robot, find_axes
 from triform.simulation.lidar import scan_rays
-from triform.simulation.profiles import ROBOMASTER_EP
+from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.simulation.ray_kernels import Scene
 from triform.types import Body, FloatArray, IntArray, MapArray, MapConfig, ScanConfig, require
 
@@ -39,7 +39,8 @@ class SceneConfig:
         sizes: Least and largest team of a random placement.
         jitter: Standard deviations of normal offsets added to visited states, one of which is drawn [d*].
         distances: Least and largest d* that a policy is meant for [m]; half of the states have 1 m.
-        usual: Share of states whose robots have the outline of a RoboMaster EP; the others are boxes and circles.
+        footprint: Usual outline of the robots.
+        usual: Share of states whose robots have that outline; the others are boxes and circles.
         noisy: Share of states whose ranges are noisy.
         noise: Largest standard deviation of their noise [m].
         dropping: Share of states in which rays are lost.
@@ -54,6 +55,7 @@ class SceneConfig:
     sizes: tuple[int, int] = (2, 20)
     jitter: tuple[float, ...] = (0.0, 0.0, 0.005, 0.015, 0.03, 0.06)
     distances: tuple[float, float] = (0.6, 1.5)
+    footprint: Footprint = ROBOMASTER_EP
     usual: float = 0.7
     noisy: float = 0.4
     noise: float = 0.03
@@ -105,14 +107,14 @@ class Views:
 
 
 class SceneDraws(NamedTuple):
-    """``SceneConfig`` as kernels take it, see there; ``ep`` is the outline of a RoboMaster EP [m]."""
+    """``SceneConfig`` as kernels take it, see there; ``outline`` is the usual one [m]."""
 
     placed: float
     sizes: tuple[int, int]
     jitter: FloatArray
     distances: tuple[float, float]
     usual: float
-    ep: Body
+    outline: Body
     noisy: float
     noise: float
     dropping: float
@@ -143,7 +145,7 @@ def scene_draws(config: SceneConfig) -> SceneDraws:
         np.array(config.jitter),
         config.distances,
         config.usual,
-        ROBOMASTER_EP.body,
+        config.footprint.body,
         config.noisy,
         config.noise,
         config.dropping,
@@ -181,11 +183,11 @@ def _place(rng, robots, positions):
 @kernel
 def draw_body(rng, draws):
     """Draw d* [m] and the outline of all robots in units of it: (d*, ``Body``)."""
-    distances, ep = draws.distances, draws.ep
+    distances, outline = draws.distances, draws.outline
     distance = 1.0
     if rng.random() < 0.5:
         distance = distances[0] * (distances[1] / distances[0]) ** rng.random()
-    half_length, half_width, round_ = ep.half_length, ep.half_width, False
+    half_length, half_width, round_ = outline.half_length, outline.half_width, outline.is_circle
     if rng.random() >= draws.usual:
         if rng.random() < 0.5:
             half_length = half_width = 0.05 + 0.15 * rng.random()
@@ -193,6 +195,7 @@ def draw_body(rng, draws):
         else:
             half_length = 0.10 + 0.12 * rng.random()
             half_width = half_length * (0.6 + 0.4 * rng.random())
+            round_ = False
     return distance, Body(half_length / distance, half_width / distance, round_)
 
 

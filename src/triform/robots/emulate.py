@@ -6,6 +6,7 @@ To ``triform drive`` an emulated robot is a serial port and an address, byte for
 from __future__ import annotations
 
 import math
+import shlex
 import time
 from collections import deque
 from collections.abc import Callable
@@ -22,6 +23,7 @@ from triform.robots.recorder import POSE_COLUMNS, CsvLog
 from triform.robots.robomaster import RoboMasterEmulator
 from triform.signals import StopSignals
 from triform.simulation import (
+    HARDWARE,
     Arena,
     LidarConfig,
     Profile,
@@ -51,7 +53,8 @@ class EmulateConfig:
         robots: Number of robots.
         seed: The start is a function of team size, seed and index alone.
         index: Which start: run ``index`` of an evaluation with the same team size and seed.
-        profile: Robot profile: a name or a TOML file; the LiDAR's scan is that of its model.
+        profile: Robot profile, whose footprint, drive and errors of the LiDAR hold: a name or a TOML file. If omitted,
+            hardware with the noise of the LiDAR's model. Rays and turns are those of the model in any case.
         arena: Arena: a name or a TOML file.
         distance: Prescribed neighbour distance d* [m]; starts grow with it.
         lidar_model: Kind of LiDAR: ld19, ld20 or ld14p.
@@ -66,7 +69,7 @@ class EmulateConfig:
     robots: int = 4
     seed: int = 7
     index: int = 0
-    profile: str = "hardware"
+    profile: str | None = None
     arena: str = "open"
     distance: float = 1.0
     lidar_model: Literal["ld19", "ld20", "ld14p"] = "ld20"
@@ -108,7 +111,9 @@ class EmulateConfig:
     @property
     def kind(self) -> Profile:
         """The robots."""
-        return get_profile(self.profile)
+        if self.profile is not None:
+            return get_profile(self.profile)
+        return replace(HARDWARE, lidar=replace(HARDWARE.lidar, noise=self.model.noise))
 
     @property
     def surroundings(self) -> Arena:
@@ -143,7 +148,7 @@ class Emulation:
         model = config.model
         poses = config.draw_start()[None]
         self._profile = config.kind
-        self._noise = replace(self._profile.lidar, scan=model.scan_config(), noise=model.noise)
+        self._noise = replace(self._profile.lidar, scan=model.scan_config())
         # The world only moves the robots; its own LiDAR has a single ray, and hardly ever turns.
         blind = LidarConfig(ScanConfig(rays=1), period=1e6)
         self._world = World(poses, replace(self._profile, lidar=blind, time_step=STEP), config.surroundings)
@@ -208,10 +213,12 @@ class Emulation:
 def drive_command(config: EmulateConfig, emulation: Emulation, robot: int) -> str:
     """Return the command line that drives a robot."""
     x, y, heading = emulation.poses[robot]
+    profile = "" if config.profile is None else f"--profile {shlex.quote(config.profile)} "
     return (
         f"triform drive --lidar {emulation.lidars[robot].path} --lidar-model {config.lidar_model} "
         f"--address {config.base_address(robot)} --local-address {config.driver_address(robot)} "
-        f"--distance {config.distance:g} --seed {robot} --robot {robot} --start-pose {x:.4f} {y:.4f} {heading:.4f}"
+        f"{profile}--distance {config.distance:g} --seed {robot} --robot {robot} "
+        f"--start-pose {x:.4f} {y:.4f} {heading:.4f}"
     )
 
 
