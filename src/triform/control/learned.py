@@ -66,12 +66,11 @@ class LearnedPolicy:
         self._network = map_network(spec.network)
         self._distance = distance
         self._clock = clock
-        self._scan: ScanConfig | None = None
-        self._packer: ScanPacker | None = None
+        self._packed: tuple[ScanConfig, ScanPacker] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all but the packer with its workspaces, which the first scan brings back."""
-        return self.__dict__ | {"_packer": None, "_scan": None}
+        return self.__dict__ | {"_packed": None}
 
     @property
     def description(self) -> dict[str, Any]:
@@ -114,10 +113,10 @@ class LearnedPolicy:
 
     def _packer_for(self, scans: Scan) -> ScanPacker:
         """The packer for scans of this configuration, made when the first one comes."""
-        packer = self._packer
-        if packer is None or self._scan != scans.config:
+        packed = self._packed
+        if packed is None or packed[0] != scans.config:
             used, map_config = self._spec.views(scans.config, self._distance)
             network = self._network
-            packer = self._packer = ScanPacker(used, map_config, network.patch, network.attention)
-            self._scan = scans.config
-        return packer
+            # Set at once, so that no other thread sees the packer of other scans.
+            packed = self._packed = scans.config, ScanPacker(used, map_config, network.patch, network.attention)
+        return packed[1]

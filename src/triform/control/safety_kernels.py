@@ -98,11 +98,11 @@ def nearest_allowed(u_x, u_y, planes, count):
         low, high = -np.inf, np.inf
         for j in range(i):
             slope = n_x * planes[j, 1] - n_y * planes[j, 0]
-            room = planes[j, 2] - bound * (n_x * planes[j, 0] + n_y * planes[j, 1])
+            slack = planes[j, 2] - bound * (n_x * planes[j, 0] + n_y * planes[j, 1])
             if slope > _PARALLEL:
-                high = min(high, room / slope)
+                high = min(high, slack / slope)
             elif slope < -_PARALLEL:
-                low = max(low, room / slope)
+                low = max(low, slack / slope)
         if low > high:
             x, y = x * (bound / speed), y * (bound / speed)
         else:

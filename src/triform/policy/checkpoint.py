@@ -187,8 +187,8 @@ def read_weights(folder: Path, spec: PolicySpec) -> bytes:
     return _read_checked(folder / WEIGHTS_FILE, spec.weights_sha256, "weights")
 
 
-def check_graph(folder: Path, spec: PolicySpec) -> Path:
-    """Path of the exported graph of the policy in ``folder``, checked against its description.
+def read_graph(folder: Path, spec: PolicySpec) -> bytes:
+    """Read the exported graph of the policy in ``folder``, checked against its description.
 
     Raises:
         TriformError: If there is none, or it is not the one that was exported with these weights.
@@ -196,8 +196,7 @@ def check_graph(folder: Path, spec: PolicySpec) -> Path:
     path = folder / ONNX_FILE
     if not path.exists() or not spec.onnx_sha256:
         raise TriformError(f"{folder} holds no exported policy; make it with: triform export {folder}")
-    _read_checked(path, spec.onnx_sha256, "graph")
-    return path
+    return _read_checked(path, spec.onnx_sha256, "graph")
 
 
 def _read_checked(path: Path, checksum: str, what: str) -> bytes:

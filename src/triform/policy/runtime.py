@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +11,7 @@ import numpy as np
 import onnxruntime
 
 from triform.kernels import kernel
-from triform.policy.checkpoint import (
-    ONNX_FILE,
-    SPEC_FILE,
-    WEIGHTS_FILE,
-    PolicySpec,
-    check_graph,
-    read_spec,
-    read_weights,
-)
+from triform.policy.checkpoint import ONNX_FILE, WEIGHTS_FILE, PolicySpec, read_graph, read_spec, read_weights
 from triform.policy.config import CnnConfig, NetworkConfig, map_network
 from triform.policy.packing import PackedMaps
 from triform.types import FloatArray, MapArray, TriformError, require
@@ -130,62 +121,63 @@ class _Workspace(threading.local):
         self.first = np.empty(0, dtype=np.int64)
 
     def fit(self, maps: int) -> None:
-        """Have room for the order of so many maps."""
+        """Make the order long enough for so many maps."""
         if maps > len(self.order):
             self.order = np.empty(maps, dtype=np.int64)
             self.first = np.empty(maps, dtype=np.int64)
 
 
-def open_session(folder: Path, spec: PolicySpec, threads: int) -> onnxruntime.InferenceSession:
-    """Load the exported graph of the policy in ``folder``, checked against its description.
-
-    Raises:
-        TriformError: If the folder holds no exported policy, or it cannot be loaded.
-    """
-    require(threads >= 1, f"threads is {threads}; it must be at least 1")
-    read_weights(folder, spec)
-    path = check_graph(folder, spec)
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0)
-    except Exception as error:
-        raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
-
-
 class StoredPolicy:
-    """The files of an exported policy. A run-time that inherits from it travels as their contents, without a path.
+    """An exported policy, its files read once: it can be copied, and pickled for machines that do not have the files.
 
     Attributes:
-        folder: Folder of the policy.
+        folder: Folder that the policy was read from; where it was unpickled, its name alone.
         threads: Threads of one call.
+        spec: Description of the policy.
     """
 
     def __init__(self, folder: Path, threads: int) -> None:
-        """Remember where the files are."""
+        """Read the description of the policy in ``folder``."""
         self.folder = folder
         self.threads = threads
-        self._contents: dict[str, bytes] | None = None
+        self.spec: PolicySpec = read_spec(folder)
 
-    def __reduce__(self) -> tuple[Callable[..., StoredPolicy], tuple[Any, ...]]:
-        contents = self._contents
-        if contents is None:
-            contents = {name: (self.folder / name).read_bytes() for name in (SPEC_FILE, WEIGHTS_FILE, ONNX_FILE)}
-        return _unpack, (type(self), self.folder.name, contents, self.threads)
+    def _load(self) -> None:
+        """Load the exported graph, checked against the description.
 
+        Raises:
+            TriformError: If the folder holds no exported policy, or it cannot be loaded.
+        """
+        require(self.threads >= 1, f"threads is {self.threads}; it must be at least 1")
+        self._weights = read_weights(self.folder, self.spec)
+        self._graph = read_graph(self.folder, self.spec)
+        self._open_session(self.folder / ONNX_FILE)
 
-def _unpack(kind: type[StoredPolicy], name: str, contents: dict[str, bytes], threads: int) -> StoredPolicy:
-    """Load a policy from the contents of its files."""
-    with tempfile.TemporaryDirectory(prefix="triform-policy-") as parent:
-        folder = Path(parent) / name
-        folder.mkdir()
-        for file, data in contents.items():
-            (folder / file).write_bytes(data)
-        runtime = kind(folder, threads)
-    runtime._contents = contents
-    return runtime
+    def _open_session(self, path: Path) -> None:
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3
+        options.intra_op_num_threads = self.threads
+        options.inter_op_num_threads = 1
+        try:
+            self._session = onnxruntime.InferenceSession(
+                str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0
+            )
+        except Exception as error:
+            raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what travels: the contents of the files, and of the folder its name."""
+        contents = {"spec": self.spec, "weights": self._weights, "graph": self._graph}
+        return {"name": self.folder.name, "threads": self.threads, **contents}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.folder, self.threads = Path(state["name"]), state["threads"]
+        self.spec, self._weights, self._graph = state["spec"], state["weights"], state["graph"]
+        # The graph refers to the file of the weights beside it.
+        with tempfile.TemporaryDirectory(prefix="triform-policy-") as folder:
+            for file, content in ((WEIGHTS_FILE, self._weights), (ONNX_FILE, self._graph)):
+                (Path(folder) / file).write_bytes(content)
+            self._open_session(Path(folder) / ONNX_FILE)
 
 
 class PolicyRuntime(StoredPolicy):
@@ -203,9 +195,8 @@ class PolicyRuntime(StoredPolicy):
             TriformError: If the folder holds no exported policy, it cannot be loaded, or it reads no maps.
         """
         super().__init__(folder, threads)
-        self.spec: PolicySpec = read_spec(folder)
         self._network = network = map_network(self.spec.network)
-        self._session = open_session(folder, self.spec, threads)
+        self._load()
         inputs = {each.name: each.shape for each in self._session.get_inputs()}
         outputs = self._session.get_outputs()[0].shape[-1]
         name, cells = ("maps", network.map_size) if isinstance(network, CnnConfig) else ("patches", network.patch**2)
@@ -215,7 +206,12 @@ class PolicyRuntime(StoredPolicy):
                 f"{folder / ONNX_FILE} reads {name} of {found} cells and gives {outputs} numbers; its description "
                 f"says {cells} and {network.outputs}"
             )
-        self._room = _Workspace(network.patches, network.patch**2)
+        self._workspace = _Workspace(network.patches, network.patch**2)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        self._network = map_network(self.spec.network)
+        self._room = _Workspace(self._network.patches, self._network.patch**2)
 
     def commands(self, packed: PackedMaps) -> FloatArray:
         """Body twists (M, 3) [m/s, m/s, rad/s] of M maps.
@@ -251,17 +247,17 @@ class PolicyRuntime(StoredPolicy):
 
     def _run_packed(self, packed: PackedMaps, network: NetworkConfig, out: FloatArray) -> None:
         """Fill ``out`` (M, outputs) with what the Vision Transformer answers."""
-        room = self._room
-        room.fit(len(out))
-        _sort_by_count(packed.counts, room.begins, room.order, room.first)
-        for count in np.flatnonzero(np.diff(room.begins)):
+        workspace = self._workspace
+        workspace.fit(len(out))
+        _sort_by_count(packed.counts, workspace.begins, workspace.order, workspace.first)
+        for count in np.flatnonzero(np.diff(workspace.begins)):
             slots = int(count) + 1
             # Graphs of 8 bits round the tokens of a call by their common range.
             at_once = 1 if self.spec.precision == "int8" else max(1, _TOKENS_AT_ONCE // slots)
-            for begin in range(room.begins[count], room.begins[count + 1], at_once):
-                some = room.order[begin : min(begin + at_once, room.begins[count + 1])]
-                tokens = room.tokens[: len(some) * slots * network.patch**2].reshape(len(some), slots, -1)
-                places = room.places[: len(some) * slots].reshape(len(some), slots)
+            for begin in range(workspace.begins[count], workspace.begins[count + 1], at_once):
+                some = workspace.order[begin : min(begin + at_once, workspace.begins[count + 1])]
+                tokens = workspace.tokens[: len(some) * slots * network.patch**2].reshape(len(some), slots, -1)
+                places = workspace.places[: len(some) * slots].reshape(len(some), slots)
                 places[:, 0] = network.patches
-                _fill_rows(packed.patches, packed.positions, room.first, some, tokens, places)
+                _fill_rows(packed.patches, packed.positions, workspace.first, some, tokens, places)
                 (out[some],) = self._session.run(["commands"], {"patches": tokens, "positions": places})

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from triform.control.triangulating_kernels import FEATURES
+from triform.control.triangulating_kernels import LAW_FEATURES
 from triform.files import exclusive, make_folder, write_atomically
 from triform.policy import describe_network
 from triform.policy.kinds import make_network
@@ -64,7 +64,7 @@ class Learner(nn.Module):
         self.policy = make_network(config.network)
         network, wanted = config.network, config.auxiliary > 0
         self.auxiliary = AuxiliaryHead(network.token_width, TARGETS) if wanted else None
-        self.facts = AuxiliaryHead(network.dim, FEATURES) if wanted and config.scenes is not None else None
+        self.facts = AuxiliaryHead(network.dim, LAW_FEATURES) if wanted and config.scenes is not None else None
 
     def losses(self, batch: DeviceBatch, config: TrainConfig, maps: float, tokens: float) -> tuple[Tensor, Tensor]:
         """Command loss and total loss of a mini-batch: sums over what it holds, over the numbers to divide by.
@@ -85,7 +85,7 @@ class Learner(nn.Module):
         if predicted is not None:
             total = total + config.auxiliary * token_loss(predicted.float(), batch.targets, batch.valid) / tokens
         if told is not None:
-            total = total + config.auxiliary * feature_loss(told.float(), batch.facts) / maps
+            total = total + config.auxiliary * feature_loss(told.float(), batch.features) / maps
         return command, total
 
 
