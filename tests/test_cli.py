@@ -59,6 +59,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         (["evaluate", "--duration", "4"], "duration is 4"),
         (["reproduce", "fig99"], "fig99"),
         (["train"], "--out"),
+        (["show", "policies", "paper"], "only listed"),
     ],
 )
 def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:

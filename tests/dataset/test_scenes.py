@@ -220,8 +220,9 @@ def test_outlines_and_distances_are_drawn_as_documented() -> None:
 
 
 def test_where_circles_are_usual_other_boxes_stay_boxes() -> None:
-    rng, usual = np.random.default_rng(4), Footprint.circle(0.5).body
-    drawn = [draw_body(rng, 0.5, (0.6, 1.5), usual) for _ in range(1000)]
+    rng = np.random.default_rng(4)
+    draws = scene_draws(SceneConfig(footprint=Footprint.circle(0.5), usual=0.5))
+    drawn = [draw_body(rng, draws) for _ in range(1000)]
     sizes = np.array([distance * outline.half_length for distance, outline in drawn])
     circles = np.array([outline.is_circle for _, outline in drawn])
     assert circles[np.isclose(sizes, 0.25)].all()

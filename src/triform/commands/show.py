@@ -14,6 +14,7 @@ from triform.control.user import installed_controllers
 from triform.policy import describe_network, read_spec
 from triform.simulation import ARENAS, PROFILES, arena_toml, get_arena, get_profile, profile_toml
 from triform.timing.step_time import count_parameters, what_it_sees
+from triform.types import require
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,12 @@ class Show:
 
     what: Annotated[Literal["profile", "arena", "controllers", "policies"], tyro.conf.Positional]
     name: Annotated[str | None, tyro.conf.Positional] = None
+
+    def __post_init__(self) -> None:
+        require(
+            self.name is None or self.what in ("profile", "arena"),
+            f"name is {self.name!r}, but {self.what} are only listed",
+        )
 
     def run(self, console: Console) -> None:
         """Print a file to start from, or a table."""

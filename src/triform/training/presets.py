@@ -203,7 +203,8 @@ PRESETS = {
     ),
 }
 
-#: Learns the triangulating law in minutes on one processor.
+#: Learns the triangulating law in minutes on one processor, and less well: of 100 runs each of 5, 9 and 13 robots, 98,
+#: 88 and 67 end in a true triangulation.
 PRESETS |= {
     "quick": replace(
         PRESETS["default"],
