@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan as LaserScanMessage
 
-from triform.perception import map_workspace, occupied_into
+from triform.perception import MapRules, map_workspace, occupied_into
 from triform.robots.limits import limit_acceleration
 from triform.robots.odometry import PoseHistory
 from triform.robots.real import Step
@@ -196,7 +196,7 @@ class MapTopic:
             config: The map.
         """
         self._node, self._frame, self._reach, self._config = node, frame, reach, config
-        self._room = map_workspace(config.size)
+        self._workspace = map_workspace(config.size)
         self._publisher = node.create_publisher(OccupancyGrid, "map", 1)
 
     def publish(self, step: Step) -> None:
@@ -211,8 +211,9 @@ class MapTopic:
     def _occupied(self, view: View) -> MapArray:
         config, angles = self._config, view.scans.config.angles
         odometry = np.zeros(3) if view.odometry is None else view.odometry[0, 0]
-        rays = (view.scans.ranges[0, 0], odometry, np.cos(angles), np.sin(angles), self._reach)
-        count = occupied_into(*rays, config.cell, config.min_cells, config.max_cells, *self._room)
+        rules = MapRules(self._reach, config.cell, config.min_cells, config.max_cells)
+        rays = (view.scans.ranges[0, 0], odometry, np.cos(angles), np.sin(angles))
+        count = occupied_into(*rays, rules, self._workspace)
         occupied = np.zeros(config.size**2, dtype=np.uint8)
-        occupied[self._room[2][:count]] = 1
+        occupied[self._workspace.cells[:count]] = 1
         return occupied.reshape(config.size, config.size)
