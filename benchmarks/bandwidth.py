@@ -5,18 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from benchmarks.machine import last_level_cache
 from benchmarks.settings import Settings
 from benchmarks.timing import Side
+from triform.kernels import kernel
 from triform.threads import in_parts, limit_threads
 
 #: Bytes that one element moves as STREAM counts them: two read, one written.
 ELEMENT_BYTES = 24
 
 
-@njit(nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _triad(a: Any, b: Any, c: Any, scale: float, first: int, last: int) -> None:
     for k in range(first, last):
         a[k] = b[k] + scale * c[k]

@@ -16,6 +16,7 @@ import tyro
 from triform import __version__
 from triform.cli import COMMANDS, main
 from triform.commands.options import CONFIG, registry
+from triform.commands.show import Show
 from triform.training import PRESETS
 
 #: A preset that learns an expert from demonstrations, and one that learns the triangulating law from scenes.
@@ -29,6 +30,7 @@ def test_version_and_overview(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     shown = capsys.readouterr().out
     assert all(name in shown for name in COMMANDS)
+    assert all(f"\n{command.group}:\n" in shown and command.example in shown for command in COMMANDS.values())
 
 
 @pytest.mark.parametrize("arguments", [[], ["nonsense"]])
@@ -77,6 +79,8 @@ def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: 
         (["train", "--out", "run", "--preset", DEMONSTRATED, "--data", "missing"], "missing"),
         (["train", "--out", "run", "--preset", SCENES, "--data", "missing"], "reads no --data"),
         (["train", "--out", "run", "--maps", "0"], "maps is 0"),
+        (["train", "--out", "run", "--profile", "moon"], "no profile 'moon'"),
+        (["train", "--out", "run", "--preset", "springs", "--profile", "hardware"], "draws no scenes"),
         (["train", "--out", "run", "--device", "abacus"], "abacus"),
         (["train", "--out", "run", "--device", "meta"], "cpu or cuda"),
         (["train", "--out", "run", "--learning-rate", "inf"], "learning_rate"),
@@ -192,12 +196,20 @@ def test_a_missing_extra_is_named(tmp_path: Path) -> None:
     train = [sys.executable, "-m", "triform.cli", "train", "--out", str(tmp_path / "run")]
     done = subprocess.run(train, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert "pip install 'triform[train]'" in done.stderr
+    needed = "train needs torch, which the extra 'train' installs: pip install 'triform[train]'"
+    assert done.stderr == f"triform: {needed}, or in a checkout pip install '.[train]'\n"
     evaluate = ["evaluate", "--controller", "policy", "--robots", "3", "--runs", "1", "--duration", "6"]
     done = subprocess.run(
         [sys.executable, "-m", "triform.cli", *evaluate], env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_an_extra_is_named_by_its_package(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    monkeypatch.setattr(Show, "run", lambda *_: __import__("PIL.Image"))
+    assert main(["show", "profile"]) == 1
+    assert capsys.readouterr().err.startswith("triform: show needs pillow, which the extra 'evaluate' installs: pip")
 
 
 def test_one_and_two_robots_have_defined_results(tmp_path: Path) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
+
+from triform.version import __version__
 
 if TYPE_CHECKING:
     from triform.control import SafetyFilter, drive, make_controller
@@ -28,6 +29,7 @@ __all__ = [
     "TriformError",
     "View",
     "World",
+    "__version__",
     "drive",
     "evaluate",
     "make_controller",
@@ -45,11 +47,6 @@ _MODULES = {
     "triform.evaluation": ("Scenario", "measure", "rollout", "summarise"),
     "triform.experiments.evaluate": ("evaluate",),
 }
-
-try:
-    __version__ = version("triform")
-except PackageNotFoundError:
-    __version__ = "0+unknown"
 
 
 def __getattr__(name: str) -> Any:

@@ -12,8 +12,8 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from triform import __version__
 from triform.types import TriformError
+from triform.version import __version__
 
 #: Extra and package of the modules that extras install.
 _EXTRAS = {
@@ -118,9 +118,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             config=CONFIG,
             registry=registry,
         )
-        from triform.kernels import are_kernels_kept
+        from triform.kernels import kernels_compiled
 
-        if not are_kernels_kept():
+        if not kernels_compiled():
             sys.stderr.write("compiling kernels, once after an installation: about a minute\n")
         chosen.run(Console())
     except TriformError as error:

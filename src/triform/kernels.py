@@ -1,80 +1,114 @@
-"""Compiled kernels: one decorator, and the folder that keeps what it compiles.
+"""Compiled kernels: the decorator that makes them, and the folder that keeps them from one process to the next.
 
 Numba notices when the file of a kept kernel changes, but not when a kernel that it calls from another file does; an
-update could then run old code. A folder named after the sources of all kernels rules that out. A folder that the user
-chose (``NUMBA_CACHE_DIR``) is respected, and where none can be written kernels are compiled anew by every process.
+update could then run old code. So the kernels of each state of the sources have a folder of their own, below
+``$XDG_CACHE_HOME/triform`` or ``~/.cache/triform``, named after a digest of these sources. A folder that the user
+chose for Numba (``NUMBA_CACHE_DIR``) takes its place, and kernels that find no folder live in their process alone.
+Kernels of other packages stay where Numba puts them.
 """
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
-from numba import njit
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserWideCacheLocator
+from numba import config, njit
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 
-@functools.cache
-def kernel_folder() -> Path | None:
-    """Return the folder of compiled kernels; ``None`` if it cannot be written or the user chose one."""
-    if "NUMBA_CACHE_DIR" in os.environ:
-        return None
+@overload
+def kernel(function: Callable[..., Any]) -> Any: ...
+@overload
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]: ...
+def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function for one thread, free of the interpreter's lock, and keep what the compiler made of it.
+
+    Args:
+        function: What to compile; without it, the decorator with the given options comes back.
+        **options: More options of ``numba.njit``.
+    """
+    if function is None:
+        return lambda given: kernel(given, **options)
+    if config.CACHE_DIR or config.DISABLE_JIT or _FOLDER is None:
+        return njit(function, nogil=True, cache=bool(config.CACHE_DIR), **options)
+    compiled = njit(function, nogil=True, **options)
+    compiled._cache = _KernelCache(function)
+    return compiled
+
+
+def kernels_compiled() -> bool:
+    """Whether the folder holds compiled kernels of these sources already."""
+    folder = Path(config.CACHE_DIR) if config.CACHE_DIR else _FOLDER
+    # Numba writes an index beside the first code that it keeps of a kernel.
+    return folder is not None and any(folder.rglob("*.nbi"))
+
+
+def _digest() -> str:
+    """Digest of all modules with kernels or groups of their arguments, and of those whose constants they take."""
+    package = Path(__file__).parent
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    for path in sorted(package.rglob("*.py")):
         source = path.read_bytes()
-        if b"@kernel" in source:
-            digest.update(path.name.encode() + source)
+        if b"\n@kernel" in source or b"(NamedTuple)" in source or path in (Path(__file__), package / "types.py"):
+            digest.update(path.relative_to(package).as_posix().encode() + b"\0" + source + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def _make_folder() -> Path | None:
+    """Make the folder of the compiled kernels; ``None`` if they can have none."""
     try:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = Path(home) / "triform" / digest.hexdigest()[:16]
+        folder = Path(home) / "triform" / _digest()
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):
         return None
-    return folder if os.access(folder, os.W_OK) else None
+    return folder if os.access(folder, os.W_OK | os.X_OK) else None
 
 
-def are_kernels_kept() -> bool:
-    """Return whether compiled kernels are kept already, as far as it is known."""
-    folder = kernel_folder()
-    # Numba makes folders as soon as kernels are imported, and an index with the first one that it compiles.
-    return folder is None or any(folder.rglob("*.nbi"))
+_FOLDER = _make_folder()
 
 
-class _Locator(UserWideCacheLocator):  # type: ignore[misc]
-    """Keeps kernels in the folder of this package."""
+class _Locator(_CacheLocator):  # type: ignore[misc]
+    """Numba's question where a kernel is kept, answered: in a folder for each room, below ``_FOLDER``."""
 
-    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
-        super().__init__(py_func, py_file)
-        self._cache_path = str(kernel_folder() / self.get_suitable_cache_subpath(py_file))
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        assert _FOLDER is not None
+        self._file = Path(file)
+        self._path = str(_FOLDER / self._file.parent.name)
+        self._line = function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> _Locator:
+        return cls(function, file)
+
+    def get_cache_path(self) -> str:
+        return self._path
+
+    def get_source_stamp(self) -> str:
+        return hashlib.sha256(self._file.read_bytes()).hexdigest()
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
 
 
-class _Impl(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = [_Locator]  # noqa: RUF012
+class _CacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_Locator,)
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]
-    _impl_class = _Impl
+class _KernelCache(FunctionCache):  # type: ignore[misc]
+    """Numba's cache of one kernel, in our folder; a full or broken disk costs the kept code, not the work."""
 
+    _impl_class = _CacheImpl
 
-def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function on its first call, without the interpreter's lock, and keep what was compiled.
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        with suppress(OSError):
+            return super().load_overload(signature, target)
+        return None
 
-    Args:
-        function: The function, for ``@kernel`` without options.
-        **options: Options of ``numba.njit``, for ``@kernel(...)``.
-    """
-    if function is None:
-        return functools.partial(kernel, **options)
-    dispatcher = njit(nogil=True, **options)(function)
-    # A cache that cannot be written must not decide whether the program runs.
-    with suppress(RuntimeError, OSError):
-        if kernel_folder() is not None:
-            dispatcher._cache = _Cache(function)
-        elif "NUMBA_CACHE_DIR" in os.environ:
-            dispatcher.enable_caching()
-    return dispatcher
+    def save_overload(self, signature: Any, data: Any) -> None:
+        with suppress(OSError):
+            super().save_overload(signature, data)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,6 +74,20 @@ def nearest(name: str, known: Collection[str]) -> str:
     """Return a question for the nearest known name; empty if none is near."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+class Body(NamedTuple):
+    """Outline of all robots, as kernels take it.
+
+    Attributes:
+        half_length: Half the length of a box along x, or the radius of a circle [m].
+        half_width: Half the width of a box along y, or the radius again [m].
+        is_circle: Whether robots are circles rather than boxes.
+    """
+
+    half_length: float
+    half_width: float
+    is_circle: bool
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from triform.control import Expert, Teacher, expert_into
+from triform.control import Expert, Springs, Teacher, expert_into
 from triform.control import expert as expert_module
 from triform.geometry.cells import SMALL_TEAM
 from triform.threads import limit_threads
@@ -34,7 +34,7 @@ def team(seed: int, worlds: int, robots: int, gridded: bool) -> tuple[np.ndarray
 def test_cells_change_no_bit_of_a_command(seed: int, robots: int, reach: float, gridded: bool) -> None:
     poses, active = team(seed, 1, robots, gridded)
     expected, graph = np.empty_like(poses[0]), np.empty((robots, robots), dtype=bool)
-    expert_into(poses[0], active[0], 1.0, 1.0, 0.8, 1.0, reach, graph, expected)
+    expert_into(poses[0], active[0], Springs(1.0, 1.0, 0.8, 1.0, reach), graph, expected)
     command = Expert(sensing_range=reach, odd_gain=0.8).command(view(poses, active))[0]
     np.testing.assert_array_equal(command, expected)
     springs = np.zeros((robots, 2))

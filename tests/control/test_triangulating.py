@@ -12,7 +12,14 @@ from scipy.optimize import minimize
 from shapely.geometry import LineString, Point
 
 from triform.control import Triangulating, TriangulatingLaw, triangulating
-from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, _circle_centre, hidden, triangulate
+from triform.control.triangulating_kernels import (
+    LAW_EDGE_FEATURES,
+    LAW_FEATURES,
+    _circle_centre,
+    hidden,
+    law_workspace,
+    triangulate,
+)
 from triform.geometry import body_to_world
 from triform.geometry.cells import SMALL_TEAM
 from triform.threads import limit_threads
@@ -51,11 +58,11 @@ def ramp(value: float, begin: float, width: float) -> float:
 def law_by_its_words(others: np.ndarray, law: TriangulatingLaw) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
     """Velocity, amplitude of the noise, terms and features of a robot that sees ``others``, as the docstrings say."""
     if len(others) == 0:
-        return np.zeros(2), 0.0, np.zeros((0, EDGE_TERMS)), np.zeros(FEATURES)
+        return np.zeros(2), 0.0, np.zeros((0, LAW_EDGE_FEATURES)), np.zeros(LAW_FEATURES)
     points = np.concatenate([np.zeros((1, 2)), others])
     linked = gabriel(points, law.sight)
     radii = np.linalg.norm(points, axis=1)
-    terms = np.zeros((len(points), EDGE_TERMS))
+    terms = np.zeros((len(points), LAW_EDGE_FEATURES))
     away, bridge, largest = np.zeros(2), False, 0.0
     for j in range(1, len(points)):
         unit, strain = points[j] / radii[j], radii[j] - 1.0
@@ -89,11 +96,12 @@ def law_by_its_words(others: np.ndarray, law: TriangulatingLaw) -> tuple[np.ndar
 
 def law_by_kernel(others: np.ndarray, law: TriangulatingLaw) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
     """The same by the compiled law."""
-    x, y = np.concatenate([np.zeros((1, 2)), others.reshape(-1, 2)]).T.copy()
-    count = len(x)
-    terms, facts = np.full((count, EDGE_TERMS), np.nan), np.full(FEATURES, np.nan)
-    v_x, v_y, noise = triangulate(x, y, count, law.constants, np.empty((count, count), dtype=bool), terms, facts)
-    return np.array([v_x, v_y]), noise, terms[1:], facts
+    points = np.concatenate([np.zeros((1, 2)), others.reshape(-1, 2)])
+    workspace = law_workspace(len(points))
+    workspace.x[:], workspace.y[:] = points.T
+    workspace.edge_features[:], workspace.features[:] = np.nan, np.nan
+    v_x, v_y, noise = triangulate(len(points), law.constants, workspace)
+    return np.array([v_x, v_y]), noise, workspace.edge_features[1:], workspace.features
 
 
 def random_others(seed: int) -> np.ndarray:
@@ -127,8 +135,8 @@ def test_the_kernel_does_what_the_docstrings_say(seed: int, law_seed: int | None
 
 
 def test_random_others_bring_every_term_of_the_law_into_play() -> None:
-    facts = np.array([law_by_kernel(random_others(seed), LAW)[3] for seed in range(300)])
-    for gate in facts[:, :3].T:
+    features = np.array([law_by_kernel(random_others(seed), LAW)[3] for seed in range(300)])
+    for gate in features[:, :3].T:
         assert 0.1 < (gate > 0).mean() < 0.9
         assert (gate < 1).mean() > 0.1
     for name in NAMES:
@@ -142,25 +150,25 @@ def test_random_others_bring_every_term_of_the_law_into_play() -> None:
 @given(seeds, st.floats(-np.pi, np.pi))
 def test_turns_with_the_others_and_takes_them_in_any_order(seed: int, angle: float) -> None:
     others = random_others(seed)
-    velocity, noise, terms, facts = law_by_kernel(others, LAW)
+    velocity, noise, terms, features = law_by_kernel(others, LAW)
     order = np.random.default_rng(seed).permutation(len(others))
-    assert_same_law(law_by_kernel(others[order], LAW), (velocity, noise, terms[order], facts))
+    assert_same_law(law_by_kernel(others[order], LAW), (velocity, noise, terms[order], features))
     turned_velocity, turned_push, turned_terms, turned_facts = law_by_kernel(body_to_world(others, angle), LAW)
     turned = np.concatenate([body_to_world(terms[:, :2], angle), terms[:, 2:]], axis=1)
-    now = np.concatenate([facts[:3], body_to_world(facts[3:], angle)])
+    now = np.concatenate([features[:3], body_to_world(features[3:], angle)])
     found = (turned_velocity, turned_push, turned_terms, turned_facts)
     assert_same_law(found, (body_to_world(velocity, angle), noise, turned, now))
 
 
 def test_nobody_one_and_two() -> None:
-    velocity, noise, _, facts = law_by_kernel(np.empty((0, 2)), LAW)
+    velocity, noise, _, features = law_by_kernel(np.empty((0, 2)), LAW)
     assert not velocity.any()
-    assert not facts.any()
+    assert not features.any()
     assert noise == 0.0
     for length in (0.5, 0.95, 1.0, 1.05, 1.2, 1.4, 2.0):
-        velocity, noise, terms, facts = law_by_kernel(np.array([[length, 0.0]]), LAW)
+        velocity, noise, terms, features = law_by_kernel(np.array([[length, 0.0]]), LAW)
         # Two robots have no bridge, and their edge does not yield.
-        assert (facts[0], *terms[0, 2:]) == (0.0, 1.0, 0.0)
+        assert (features[0], *terms[0, 2:]) == (0.0, 1.0, 0.0)
         along = LAW.gain * (length - 1) + LAW.far_gain * max(length - LAW.far_range, 0.0)
         along += LAW.contact_gain * min(length - LAW.contact_range, 0.0)
         # Looseness is asked of what is near.
@@ -218,10 +226,10 @@ def test_rests_and_is_not_pushed_in_a_perfect_triangulation(robots: int) -> None
         patch = lattice_patch(seed, robots)
         for i in range(robots):
             away = np.delete(patch, i, axis=0) - patch[i]
-            velocity, noise, _, facts = law_by_kernel(away[np.linalg.norm(away, axis=1) <= LAW.sight], LAW)
+            velocity, noise, _, features = law_by_kernel(away[np.linalg.norm(away, axis=1) <= LAW.sight], LAW)
             assert np.abs(velocity).max() < 1e-9
             assert noise < 1e-9
-            assert not facts.any()
+            assert not features.any()
         poses = np.concatenate([patch, np.linspace(-3, 3, robots)[:, None]], axis=1)[None]
         command = Triangulating().command(view(poses, noise=np.full((1, robots, 2), 3.0)))
         np.testing.assert_allclose(command, 0.0, atol=1e-9)

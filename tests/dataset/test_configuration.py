@@ -35,7 +35,7 @@ def test_configurations_survive_json(name: str) -> None:
         ({"seed": -1}, "seed is -1"),
         ({"distance": float("nan")}, "distance is nan"),
         ({"speed_limit": float("inf")}, "speed_limit is inf"),
-        ({"teacher": "nobody"}, "no expert 'nobody'; the experts are expert, expert-sensed, expert-odd"),
+        ({"teacher": "nobody"}, "no expert 'nobody'; there are expert, expert-sensed, expert-odd"),
         ({"jitter": ()}, "jitter is"),
         ({"jitter": (0.0, -1.0)}, "jitter is"),
         ({"validation_share": 1.5}, "validation_share is 1.5"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +14,9 @@ from shapely.geometry import LineString, Point
 
 from triform.control import Triangulating, TriangulatingLaw
 from triform.dataset import SceneConfig, StateBuffer, Views, draw_views
-from triform.dataset.scenes import SEEN, draw_body, draw_positions
+from triform.dataset.scenes import SEEN, SceneDraws, draw_body, draw_positions, scene_draws, visited_states
 from triform.geometry import body_to_world
-from triform.simulation import ROBOMASTER_EP
+from triform.simulation import ROBOMASTER_EP, Footprint
 from triform.types import ConfigurationError, MapConfig, PrivilegedView, Scan, ScanConfig
 
 #: Nothing is random but headings, and who is listed first.
@@ -26,6 +27,10 @@ PLAIN = SceneConfig(
 #: So that no robot is seen farther than a scan reaches.
 LAW = TriangulatingLaw(sight=2.0)
 seeds = st.integers(0, 2**32 - 1)
+
+
+def draws_of(placed: float, sizes: tuple[int, int], jitter: Sequence[float] = (0.0,)) -> SceneDraws:
+    return scene_draws(SceneConfig(placed=placed, sizes=sizes, jitter=tuple(jitter)))
 
 
 def draw(
@@ -101,9 +106,9 @@ def test_the_label_is_what_the_law_does_there(seed: int, robots: int) -> None:
         np.testing.assert_allclose(views.commands[m, 3], pushed[:2], atol=1e-9)
         # What each robot adds is known, and with a bridge there is a pull besides.
         told = views.seen[m][np.isfinite(views.seen[m, :, 0])]
-        rest = free.commands[m, :2] - told[:, 2:4].sum(axis=0) - LAW.compaction_speed * views.facts[m, 3:]
-        assert views.facts[m, 0] in (0.0, 1.0)
-        assert np.linalg.norm(rest) < (LAW.bridge_pull if views.facts[m, 0] else 0.0) + 1e-9
+        rest = free.commands[m, :2] - told[:, 2:4].sum(axis=0) - LAW.compaction_speed * views.features[m, 3:]
+        assert views.features[m, 0] in (0.0, 1.0)
+        assert np.linalg.norm(rest) < (LAW.bridge_pull if views.features[m, 0] else 0.0) + 1e-9
         assert set(told[:, 4:].reshape(-1)) <= {0.0, 1.0}
 
 
@@ -134,13 +139,13 @@ def test_views_are_a_function_of_the_generators_state() -> None:
     visited = StateBuffer.of_teams(np.stack([spread(k, 6) for k in range(5)]))
     config = SceneConfig(pillared=0.5)
     one, again, other = (draw(seed, 60, config, visited) for seed in (1, 1, 2))
-    for name in ("maps", "commands", "seen", "facts"):
+    for name in ("maps", "commands", "seen", "features"):
         np.testing.assert_array_equal(getattr(one, name), getattr(again, name))
         assert not np.array_equal(getattr(one, name), getattr(other, name))
     assert one.maps.shape == (60, 100, 100)
     assert one.commands.shape == (60, 4)
     assert np.isfinite(one.commands).all()
-    assert np.isfinite(one.facts).all()
+    assert np.isfinite(one.features).all()
     assert not one.commands[:, 2].any()
     assert (np.linalg.norm(one.commands[:, :2], axis=1) <= config.max_speed + 1e-12).all()
     assert draw(1, 0, config).maps.shape == (0, 100, 100)
@@ -152,7 +157,7 @@ def test_placements_keep_their_spacing_and_hang_together(seed: int, sizes: tuple
     least, most = sizes[0], sizes[0] + sizes[1]
     rng, team, nobody = np.random.default_rng(seed), np.empty((most, 2)), StateBuffer.none()
     for _ in range(10):
-        robots = draw_positions(rng, nobody.positions, nobody.offsets, 0.0, (least, most), np.zeros(1), team)
+        robots = draw_positions(rng, visited_states(nobody), draws_of(0.0, (least, most)), team)
         assert robots == 0 or least <= robots <= most
         placed = team[:robots]
         distance = np.linalg.norm(placed[:, None] - placed[None], axis=2)
@@ -164,9 +169,7 @@ def test_placements_keep_their_spacing_and_hang_together(seed: int, sizes: tuple
 def test_every_size_is_placed() -> None:
     rng, team, nobody = np.random.default_rng(1), np.empty((20, 2)), StateBuffer.none()
     config = SceneConfig()
-    counts = [
-        draw_positions(rng, nobody.positions, nobody.offsets, 0.15, config.sizes, np.zeros(1), team) for _ in range(600)
-    ]
+    counts = [draw_positions(rng, visited_states(nobody), draws_of(0.15, config.sizes), team) for _ in range(600)]
     assert set(range(2, 21)) <= set(counts) <= {0, *range(2, 21)}
     assert counts.count(0) < 30
 
@@ -178,7 +181,7 @@ def test_visited_states_are_jittered_by_one_of_the_deviations() -> None:
     deviations = np.array([0.0, 0.01, 0.1])
     sizes = []
     for _ in range(600):
-        assert draw_positions(rng, visited.positions, visited.offsets, 0.0, (1, 1), deviations, team) == 8
+        assert draw_positions(rng, visited_states(visited), draws_of(0.0, (1, 1), deviations), team) == 8
         sizes.append(np.std(team - positions))
     nearest = np.abs(np.array(sizes)[:, None] - deviations).argmin(axis=1)
     assert stats.chisquare(np.bincount(nearest, minlength=3)).pvalue > 0.01
@@ -191,14 +194,15 @@ def test_placements_and_visited_states_are_drawn_in_their_shares() -> None:
     visited = StateBuffer.of_teams(positions[None])
     rng, team, placed = np.random.default_rng(3), np.empty((9, 2)), 0
     for _ in range(1000):
-        robots = draw_positions(rng, visited.positions, visited.offsets, 0.3, (3, 3), np.zeros(1), team)
+        robots = draw_positions(rng, visited_states(visited), draws_of(0.3, (3, 3)), team)
         placed += robots == 3 and not np.array_equal(team[:3], positions)
     assert abs(placed - 300) < 60
 
 
 def test_outlines_and_distances_are_drawn_as_documented() -> None:
     rng, ep = np.random.default_rng(4), ROBOMASTER_EP.body
-    drawn = [draw_body(rng, 0.7, (0.6, 1.5), ep) for _ in range(4000)]
+    draws = scene_draws(SceneConfig(usual=0.7, distances=(0.6, 1.5)))
+    drawn = [draw_body(rng, draws) for _ in range(4000)]
     distances = np.array([distance for distance, _ in drawn])
     outlines = np.array([outline for _, outline in drawn], dtype=float)
     sizes = distances[:, None] * outlines[:, :2]
@@ -213,6 +217,16 @@ def test_outlines_and_distances_are_drawn_as_documented() -> None:
     np.testing.assert_array_equal(circles[:, 0], circles[:, 1])
     assert ((boxes[:, 0] >= 0.1 - 1e-12) & (boxes[:, 0] <= 0.22 + 1e-12)).all()
     assert ((boxes[:, 1] / boxes[:, 0] >= 0.6 - 1e-12) & (boxes[:, 1] <= boxes[:, 0] + 1e-12)).all()
+
+
+def test_where_circles_are_usual_other_boxes_stay_boxes() -> None:
+    rng, usual = np.random.default_rng(4), Footprint.circle(0.5).body
+    drawn = [draw_body(rng, 0.5, (0.6, 1.5), usual) for _ in range(1000)]
+    sizes = np.array([distance * outline.half_length for distance, outline in drawn])
+    circles = np.array([outline.is_circle for _, outline in drawn])
+    assert circles[np.isclose(sizes, 0.25)].all()
+    assert abs(np.isclose(sizes, 0.25).mean() - 0.5) < 0.05
+    assert abs(circles.mean() - 0.75) < 0.05
 
 
 def test_footprints_in_maps_scale_with_the_distance() -> None:

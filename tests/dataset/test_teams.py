@@ -64,19 +64,20 @@ def test_terms_belong_to_their_edges() -> None:
     graph = states.graph(REACH)
     labels = label_states(states, graph, TriangulatingLaw(), np.inf)
     assert 0.3 < labels.seen.mean() < 1.0
-    assert not labels.terms[~labels.seen].any()
+    assert not labels.edge_features[~labels.seen].any()
     sums = np.zeros((graph.robots, 2))
-    np.add.at(sums, graph.receivers, labels.terms[:, :2])
-    calm = (labels.facts[:, 0] == 0) & (labels.facts[:, 2] == 0)
+    np.add.at(sums, graph.receivers, labels.edge_features[:, :2])
+    calm = (labels.features[:, 0] == 0) & (labels.features[:, 2] == 0)
     assert calm.sum() > 10
     np.testing.assert_allclose(sums[calm], labels.commands[calm, :2], atol=1e-9)
     # Neighbours are mutual among robots that see each other's surroundings alike; at least most are.
-    edges = {(i, j): linked for i, j, linked in zip(graph.receivers, graph.senders, labels.terms[:, 2], strict=True)}
+    linked_by_law = labels.edge_features[:, 2]
+    edges = {(i, j): linked for i, j, linked in zip(graph.receivers, graph.senders, linked_by_law, strict=True)}
     linked = [edge for edge, value in edges.items() if value]
     assert np.mean([edges[j, i] for i, j in linked]) > 0.8
     along = graph.features[:, :2] / graph.features[:, 2:3]
     close = labels.seen & (graph.features[:, 2] < 0.6)
-    assert ((along * labels.terms[:, :2]).sum(axis=1)[close] < 0).all()
+    assert ((along * labels.edge_features[:, :2]).sum(axis=1)[close] < 0).all()
 
 
 def test_a_shorter_reach_leaves_out_edges_and_nothing_else() -> None:
@@ -85,7 +86,7 @@ def test_a_shorter_reach_leaves_out_edges_and_nothing_else() -> None:
     labels, fewer = label_states(states, far, law, 0.5), label_states(states, near, law, 0.5)
     np.testing.assert_array_equal(labels.commands, fewer.commands)
     kept = far.features[:, 2] <= np.float32(1.2)
-    np.testing.assert_array_equal(labels.terms[kept], fewer.terms)
+    np.testing.assert_array_equal(labels.edge_features[kept], fewer.edge_features)
     np.testing.assert_array_equal(labels.seen[kept], fewer.seen)
 
 

@@ -95,7 +95,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_an_evaluation_is_the_same_to_the_bit_on_one_thread_two_and_ray_whose_worker_is_killed(
     engine, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("triform.evaluation.scenario.ROBOTS_PER_CHUNK", 8)
+    monkeypatch.setattr("triform.evaluation.runs.ROBOTS_PER_CHUNK", 8)
     config = options(EvaluateConfig, robots=(3, 5, 4), runs=6, duration=6.0, profile="hardware", seed=5)
     on_ray = evaluate(config, engine=Deadly(engine, tmp_path / "killed"))
     assert (tmp_path / "killed").exists()
@@ -305,7 +305,8 @@ def test_a_missing_ray_is_named(tmp_path):
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr.strip().splitlines()[-1] == (
-        "triform: collect needs ray; install it with: pip install 'triform[ray]'"
+        "triform: collect needs ray, which the extra 'ray' installs: pip install 'triform[ray]', or in a checkout "
+        "pip install '.[ray]'"
     )
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from triform.perception import map_workspace, occupancy_maps, occupied_into
+from triform.perception import map_rules, map_workspace, occupancy_maps, occupied_into
 from triform.types import ConfigurationError, MapConfig, Scan, ScanConfig
 
 
@@ -32,11 +32,11 @@ def algorithm_3(ranges: np.ndarray, scan: ScanConfig, config: MapConfig, moved: 
 
 def seen_from(ranges: np.ndarray, scan: ScanConfig, config: MapConfig, moved: np.ndarray) -> np.ndarray:
     """The map of a scan for a robot that has moved since."""
-    grid, scratch, cells = map_workspace(config.size)
-    room = grid.copy()
-    limits = (scan.range_max, config.cell, config.min_cells, config.max_cells)
-    count = occupied_into(ranges, moved, np.cos(scan.angles), np.sin(scan.angles), *limits, grid, scratch, cells)
-    np.testing.assert_array_equal(grid, room)
+    workspace = map_workspace(config.size)
+    grid, cells = workspace.grid.copy(), workspace.cells
+    rules = map_rules(scan, config)
+    count = occupied_into(ranges, moved, np.cos(scan.angles), np.sin(scan.angles), rules, workspace)
+    np.testing.assert_array_equal(workspace.grid, grid)
     assert len(set(cells[:count].tolist())) == count
     out = np.zeros(config.size**2, dtype=np.uint8)
     out[cells[:count]] = 1

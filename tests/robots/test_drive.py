@@ -16,13 +16,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from triform.commands.drive_screen import DriveScreen, StatusLine
+from triform.commands.screen import Screen
+from triform.control import ControllerSpec
 from triform.robots import drive as drive_module
 from triform.robots.drive import DriveConfig, run_drive
-from triform.robots.drive_status import Budget, StatusLine
+from triform.robots.latency import Budget
 from triform.robots.real import Step
 from triform.robots.recorder import CsvLog
-from triform.robots.screen import Screen
-from triform.robots.stop_signals import StopSignals
+from triform.signals import StopSignals
 from triform.simulation import ROBOMASTER_EP, Arena, cast_scans
 from triform.types import ConfigurationError, Scan, ScanConfig, TriformError, View
 
@@ -100,6 +102,7 @@ class FakeBase:
 
 
 made: list[FakeBase] = []
+SCAN_PIPELINE = ControllerSpec("scan-pipeline")
 
 
 @pytest.fixture(autouse=True)
@@ -109,15 +112,19 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drive_module, "RoboMaster", FakeBase)
 
 
+def screen_of(config: DriveConfig, console: Console) -> DriveScreen:
+    return DriveScreen(console, config.outline, config.dry_run)
+
+
 def run(config: DriveConfig, shown: io.StringIO | None = None) -> str:
     """Drive and return what was printed, which is also in ``shown``."""
     shown = shown or io.StringIO()
-    run_drive(config, Console(file=shown, width=200))
+    run_drive(config, screen_of(config, Console(file=shown, width=200)))
     return shown.getvalue()
 
 
 def test_drives_away_from_a_robot_that_is_too_near_and_stops_at_the_end() -> None:
-    said = run(DriveConfig(controller="scan-pipeline", duration=1.5, rate=20.0))
+    said = run(DriveConfig(controller=SCAN_PIPELINE, duration=1.5, rate=20.0))
     (base,) = made
     assert len(base.commands) == 30
     assert base.stops == 1
@@ -132,7 +139,7 @@ def test_drives_away_from_a_robot_that_is_too_near_and_stops_at_the_end() -> Non
 
 
 def test_a_dry_run_needs_no_base_and_sends_nothing() -> None:
-    said = run(DriveConfig(controller="scan-pipeline", duration=1.5, rate=20.0, dry_run=True))
+    said = run(DriveConfig(controller=SCAN_PIPELINE, duration=1.5, rate=20.0, dry_run=True))
     assert made == []
     assert "would send -0.10" in said
 
@@ -149,7 +156,7 @@ def test_the_recording_says_what_was_seen_and_done(tmp_path: Path) -> None:
     folder = tmp_path / "recording"
     before = time.time()
     config = DriveConfig(
-        controller="scan-pipeline", duration=1.0, rate=10.0, record=folder, robot=3, start_pose=(5.0, -1.0, 1.0), seed=8
+        controller=SCAN_PIPELINE, duration=1.0, rate=10.0, record=folder, robot=3, start_pose=(5.0, -1.0, 1.0), seed=8
     )
     run(config)
     with (folder / "steps.csv").open() as file:
@@ -200,7 +207,7 @@ def test_a_recording_that_cannot_go_on_does_not_stop_the_robot(tmp_path: Path, m
         raise TriformError("no space left")
 
     monkeypatch.setattr("triform.robots.recorder.write_atomically", full)
-    said = run(DriveConfig(controller="scan-pipeline", duration=0.5, rate=10.0, record=tmp_path / "r"))
+    said = run(DriveConfig(controller=SCAN_PIPELINE, duration=0.5, rate=10.0, record=tmp_path / "r"))
     assert len(made[0].commands) == 5
     assert "warning: no space left" in said
 
@@ -212,7 +219,7 @@ def test_a_signal_stops_the_wheels_and_shows_the_budget(
     before, shown = signal.getsignal(number), io.StringIO()
     monkeypatch.setattr(FakeBase, "signal", number)
     with pytest.raises(SystemExit) as ended:
-        run(DriveConfig(controller="scan-pipeline", rate=20.0, record=tmp_path / "r"), shown)
+        run(DriveConfig(controller=SCAN_PIPELINE, rate=20.0, record=tmp_path / "r"), shown)
     assert ended.value.code == status
     (base,) = made
     assert (len(base.commands), base.stops) == (5, 1)
@@ -229,7 +236,7 @@ def test_what_ended_a_drive_is_recorded_even_if_it_is_an_error_of_the_program(
 
     monkeypatch.setattr(FakeBase, "odometry", stumble)
     with pytest.raises(ZeroDivisionError):
-        run(DriveConfig(controller="scan-pipeline", record=tmp_path / "r"))
+        run(DriveConfig(controller=SCAN_PIPELINE, record=tmp_path / "r"))
     assert made[0].stops == 1
     assert json.loads((tmp_path / "r/drive.json").read_text())["ended"] == "a bug"
 
@@ -237,18 +244,16 @@ def test_what_ended_a_drive_is_recorded_even_if_it_is_an_error_of_the_program(
 @pytest.mark.parametrize("terminal", [False, True])
 def test_a_robot_drives_on_and_records_where_nothing_can_be_shown(tmp_path: Path, terminal: bool) -> None:
     """As on a full disk, and at a terminal that has been closed."""
-    config = DriveConfig(controller="scan-pipeline", duration=1.5, rate=10.0, record=tmp_path / "r")
+    config = DriveConfig(controller=SCAN_PIPELINE, duration=1.5, rate=10.0, record=tmp_path / "r")
     with Path("/dev/full").open("w") as full:
-        run_drive(config, Console(file=full, width=200, force_terminal=terminal))
+        run_drive(config, screen_of(config, Console(file=full, width=200, force_terminal=terminal)))
     assert len(made[0].commands) == 15
     assert json.loads((tmp_path / "r/drive.json").read_text())["ended"] == "its time is over"
 
 
 def test_names_of_files_are_shown_as_they_are(tmp_path: Path) -> None:
     folder = tmp_path / "[red]run[/red]"
-    assert f"recorded in {folder}" in run(
-        DriveConfig(controller="scan-pipeline", duration=0.5, rate=10.0, record=folder)
-    )
+    assert f"recorded in {folder}" in run(DriveConfig(controller=SCAN_PIPELINE, duration=0.5, rate=10.0, record=folder))
 
 
 def test_nohup_holds() -> None:
@@ -264,20 +269,20 @@ def test_nohup_holds() -> None:
 def test_a_lost_lidar_stops_the_wheels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FakeLidar, "lost_after", 1.0)
     with pytest.raises(TriformError, match="the LiDAR is lost"):
-        run(DriveConfig(controller="scan-pipeline", rate=20.0))
+        run(DriveConfig(controller=SCAN_PIPELINE, rate=20.0))
     assert made[0].stops == 1
 
 
 def test_a_lost_base_says_so_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FakeBase, "lost", True)
     with pytest.raises(TriformError, match="the base is lost"):
-        run(DriveConfig(controller="scan-pipeline", rate=20.0))
+        run(DriveConfig(controller=SCAN_PIPELINE, rate=20.0))
     assert made[0].stops == 1
 
 
 def test_a_lidar_that_falls_silent_leaves_the_robot_standing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FakeLidar, "silent_after", 0.5)
-    said = run(DriveConfig(controller="scan-pipeline", rate=20.0, duration=2.0))
+    said = run(DriveConfig(controller=SCAN_PIPELINE, rate=20.0, duration=2.0))
     np.testing.assert_array_equal(made[0].commands[-5:], np.zeros((5, 3)))
     assert said.count("the robot stands still until one comes") == 1
     assert "no fresh scan" in said
@@ -286,7 +291,7 @@ def test_a_lidar_that_falls_silent_leaves_the_robot_standing(monkeypatch: pytest
 @pytest.mark.parametrize("name", ["expert", "triangulating", "gnn"])
 def test_controllers_that_see_poses_are_refused(name: str) -> None:
     with pytest.raises(TriformError, match="no real robot knows"):
-        run(DriveConfig(controller=name))
+        run(DriveConfig(controller=ControllerSpec(name)))
     assert made == []
 
 
@@ -306,7 +311,7 @@ def test_controllers_that_see_poses_are_refused(name: str) -> None:
         {"seed": -1},
         {"start_pose": (0.0, np.nan, 0.0)},
         {"mounting": np.inf},
-        {"footprint": (0.3, -0.2)},
+        {"footprint": "box:0.3x-0.2"},
     ],
 )
 def test_bad_settings_are_refused(setting: dict[str, object]) -> None:

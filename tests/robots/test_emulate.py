@@ -9,16 +9,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from triform.evaluation import Trajectory, measure
-from triform.robots.emulate import EmulateConfig, Emulation
-from triform.robots.ldrobot import LidarPort
+from triform.robots.emulate import EmulateConfig, Emulation, drive_command
+from triform.robots.ldrobot import MODELS, LidarPort
 from triform.robots.robomaster import RoboMaster
-from triform.simulation import HARDWARE, cast_scans
+from triform.simulation import HARDWARE, Footprint, LidarConfig, cast_scans, profile_toml
 from triform.types import ConfigurationError, TriformError
 
 #: Loopback addresses that no other test run on this machine is likely to use.
@@ -92,6 +94,19 @@ def test_wheels_move_the_robot_and_its_odometry(emulation: Emulation) -> None:
 def test_bad_settings_are_refused(setting: dict[str, object]) -> None:
     with pytest.raises(ConfigurationError):
         EmulateConfig(**setting)  # type: ignore[arg-type]
+
+
+def test_robots_are_those_of_a_profile(tmp_path: Path) -> None:
+    assert EmulateConfig().kind == HARDWARE
+    assert EmulateConfig(lidar_model="ld14p").kind.lidar.noise == MODELS["ld14p"].noise
+    path = tmp_path / "my robot.toml"
+    path.write_text(profile_toml(replace(HARDWARE, footprint=Footprint.circle(0.3), lidar=LidarConfig(dropout=0.2))))
+    config = EmulateConfig(profile=str(path), **ADDRESSES)
+    assert config.kind.footprint == Footprint.circle(0.3)
+    assert config.kind.lidar.noise == ()
+    with closing(Emulation(config)) as emulation:
+        words = shlex.split(drive_command(config, emulation, 0))
+    assert words[words.index("--profile") + 1] == str(path)
 
 
 def test_an_unknown_arena_is_refused() -> None:

@@ -28,6 +28,7 @@ from triform.simulation import (
 from triform.simulation import lidar as lidar_module
 from triform.simulation import world as world_module
 from triform.simulation.lidar import scan_rays
+from triform.simulation.ray_kernels import Scene
 from triform.threads import limit_threads
 from triform.types import ScanConfig
 
@@ -54,7 +55,7 @@ def test_casting_by_cells_sees_what_looking_at_everybody_sees(
     footprint = Footprint.circle(0.3) if circle else ROBOMASTER_EP
     arena = get_arena("pillars") if seed % 2 else Arena.open()
     expected = np.empty((robots, CONFIG.rays))
-    scene = (footprint.body, arena.walls, arena.pillars, scan_rays(CONFIG))
+    scene = (Scene(footprint.body, arena.walls, arena.pillars), scan_rays(CONFIG))
     cast_world(poses[0], active[0], *scene, np.empty((robots, 2)), expected)
     np.testing.assert_array_equal(cast_scans(poses, active, footprint, arena, CONFIG)[0], expected)
     single = cast_scans(poses, active, footprint, arena, CONFIG, dtype=np.float32)[0]

@@ -28,6 +28,7 @@ from triform.simulation import (
     sample_starts,
 )
 from triform.simulation.lidar import scan_rays
+from triform.simulation.ray_kernels import Scene
 from triform.types import ConfigurationError, ScanConfig
 
 Array = NDArray[np.float64]
@@ -229,7 +230,7 @@ def test_batched_equals_looped_and_rotation_does_not_matter() -> None:
     for b in range(4):
         out = np.empty((6, 450))
         axes, nothing = np.empty((6, 2)), Arena.open()
-        scene = (ROBOMASTER_EP.body, nothing.walls, nothing.pillars, scan_rays(CONFIG))
+        scene = (Scene(ROBOMASTER_EP.body, nothing.walls, nothing.pillars), scan_rays(CONFIG))
         cast_world(poses[b], active[b], *scene, axes, out)
         np.testing.assert_array_equal(out, ranges[b])
     turn, cos, sin = 1.1, np.cos(1.1), np.sin(1.1)

@@ -62,11 +62,11 @@ def test_bad_values_are_refused(make: Callable[[], Any], message: str) -> None:
 def test_names_are_looked_up() -> None:
     for name in PROFILES:
         assert get_profile(name).name == name
-    with pytest.raises(TriformError, match="known profiles are ideal, hardware"):
+    with pytest.raises(TriformError, match="there are ideal, hardware and your own"):
         get_profile("perfect")
     assert get_arena("room-6").walls.shape == (4, 4)
     assert get_arena("pillars").pillars.shape == (4, 3)
-    with pytest.raises(TriformError, match="known arenas are open, room-6, pillars"):
+    with pytest.raises(TriformError, match="there are open, room-6, pillars and your own"):
         get_arena("maze")
 
 

@@ -68,10 +68,10 @@ def test_losses_are_their_definitions() -> None:
     three = command_loss(torch.tensor(predicted[:, :3]), torch.tensor(wanted[:, :3]), "norm")
     assert float(three) == pytest.approx(np.linalg.norm(error[:, :3], axis=1).sum())
 
-    predicted, facts = rng.normal(size=(9, 5)), np.concatenate([rng.random((9, 3)), rng.normal(size=(9, 2))], axis=1)
-    gates = bernoulli(predicted[:, :3], facts[:, :3]).sum()
-    rest = ((predicted[:, 3:] - facts[:, 3:]) ** 2).sum()
-    assert float(feature_loss(torch.tensor(predicted), torch.tensor(facts))) == pytest.approx(0.1 * (gates + rest))
+    predicted, features = rng.normal(size=(9, 5)), np.concatenate([rng.random((9, 3)), rng.normal(size=(9, 2))], axis=1)
+    gates = bernoulli(predicted[:, :3], features[:, :3]).sum()
+    rest = ((predicted[:, 3:] - features[:, 3:]) ** 2).sum()
+    assert float(feature_loss(torch.tensor(predicted), torch.tensor(features))) == pytest.approx(0.1 * (gates + rest))
 
     predicted = rng.normal(size=(9, 6))
     targets = np.concatenate([rng.normal(size=(9, 4)), rng.integers(0, 2, (9, 2))], axis=1)

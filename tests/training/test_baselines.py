@@ -88,7 +88,7 @@ def test_a_mini_batch_of_teams_has_as_many_robots_as_one_of_maps() -> None:
     config = tiny("gnn")
     batch = next(open_source(config, None).batches(0))()
     assert isinstance(batch.packed, RadiusGraph)
-    assert batch.maps == len(batch.commands) == len(batch.facts) == config.batch_maps
+    assert batch.maps == len(batch.commands) == len(batch.features) == config.batch_maps
     assert config.batch_maps <= batch.packed.robots < config.batch_maps + 8
     assert len(batch.targets) == len(batch.valid) == len(batch.packed.receivers)
     assert batch.valid.any()
@@ -103,7 +103,7 @@ def test_processes_share_a_mini_batch_of_teams(count: int) -> None:
     source = open_source(config, None)
     whole = next(source.batches(7))()
     shares: list[TrainBatch] = [next(source.batches(7, Processes(rank, count)))() for rank in range(count)]
-    for name in ("commands", "facts", "targets", "valid"):
+    for name in ("commands", "features", "targets", "valid"):
         np.testing.assert_array_equal(
             np.concatenate([getattr(each, name) for each in shares]), getattr(whole, name), name
         )

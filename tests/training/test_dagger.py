@@ -152,7 +152,7 @@ def test_teacher_states_are_where_the_law_takes_teams(monkeypatch: pytest.Monkey
     # Two runs of three robots undisturbed, two a little and one more; one of four robots.
     assert [len(world.poses) for world in made] == [2, 2, 1, 1]
     assert [len(team) for team in states] == [3] * 5 * 5 + [4] * 3
-    began = dagger.starts(3, 2, int(np.random.SeedSequence([5, 0, 0]).generate_state(1, np.uint64)[0]))
+    began = dagger.sample_starts(3, 2, int(np.random.SeedSequence([5, 0, 0]).generate_state(1, np.uint64)[0]))
     seeds = np.random.SeedSequence([5, 0, 1, 3]).spawn(2)
     world = World(began, get_profile("ideal"), seeds=seeds)
     alone = [world.poses[..., :2]]
@@ -212,7 +212,7 @@ def test_batches_are_functions_of_seed_number_and_states() -> None:
     np.testing.assert_array_equal(third[0].commands, third[1].commands)
     np.testing.assert_array_equal(third[0].packed.patches, third[1].packed.patches)
     assert third[0].commands.shape == (20, 4)
-    assert third[0].facts.shape == (20, 5)
+    assert third[0].features.shape == (20, 5)
     assert not np.array_equal(next(source.batches(4))().commands, third[0].commands)
     source.visited = teacher_states(TriangulatingLaw(), 1, TEACHER)
     assert not np.array_equal(next(source.batches(3))().commands, third[0].commands)

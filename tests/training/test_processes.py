@@ -146,5 +146,5 @@ def test_the_shares_of_all_processes_are_the_mini_batch(data: Path, count: int) 
         shares = [next(source.batches(2, Processes(rank, count)))() for rank in range(count)]
         assert {share.maps for share in shares} == {whole.maps} == {len(whole.commands)}
         assert [each for share in shares for each in maps_of(share)] == maps_of(whole)
-        np.testing.assert_array_equal(np.concatenate([share.facts for share in shares]), whole.facts)
+        np.testing.assert_array_equal(np.concatenate([share.features for share in shares]), whole.features)
         assert sum(int(share.valid.sum()) for share in shares) == int(whole.valid.sum())

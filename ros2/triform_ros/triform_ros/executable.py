@@ -15,7 +15,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from triform.robots.stop_signals import StopSignals
+from triform.signals import StopSignals
 from triform.types import TriformError
 
 

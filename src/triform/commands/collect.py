@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from rich.console import Console
 
@@ -41,6 +41,11 @@ class Collect:
     workers: int | None = None
     engine: EngineName = "local"
     ray_address: str | None = None
+
+    GROUPS: ClassVar[dict[str, tuple[str, ...]]] = {
+        "recipe": ("teacher", "seed", "runs", "steps", "placements"),
+        "execution": ("workers", "engine", "ray_address"),
+    }
 
     def run(self, console: Console) -> None:
         """Collect, with progress."""

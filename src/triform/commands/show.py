@@ -22,7 +22,7 @@ class Show:
 
     Attributes:
         what: What to show.
-        name: Profile or arena to print as TOML, to start from; a table of all if omitted.
+        name: Profile or arena to print as TOML, to start from: a name or a TOML file; a table of all if omitted.
     """
 
     what: Annotated[Literal["profile", "arena", "controllers", "policies"], tyro.conf.Positional]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from rich.console import Console
 
@@ -18,10 +18,12 @@ class Train:
 
     Attributes:
         out: Folder for state, logs and the best and last policy.
-        preset: ``default`` learns the triangulating law, and ``cnn``, ``gnn`` and ``dense`` do so with other networks;
-            ``springs`` learns an expert of springs, ``large`` so with the paper's network, and ``paper`` is Algorithm 1
-            as printed, which needs ``--data``.
-        data: Stored demonstrations; fresh ones are drawn if omitted.
+        preset: ``default`` learns the triangulating law, ``quick`` so in minutes with a small network, and ``cnn``,
+            ``gnn`` and ``dense`` so with other networks; ``springs`` learns an expert of springs, ``large`` so with the
+            paper's network, and ``paper`` is Algorithm 1 as printed, which needs ``--data``.
+        profile: Robot to train for: a name or a TOML file. Most scenes have its outline, rays are as many as its
+            LiDAR's, and errors at least as large. If omitted, most scenes have a RoboMaster EP.
+        data: Folder of stored demonstrations; fresh ones are drawn if omitted.
         maps: Maps to train on. The preset's if omitted.
         teacher: Who labels: ``expert``, ``expert-sensed`` or ``expert-odd``. The data set's or the
             preset's if omitted.
@@ -37,7 +39,8 @@ class Train:
     """
 
     out: Path
-    preset: Literal["default", "springs", "large", "paper", "cnn", "gnn", "dense"] = "default"
+    preset: Literal["default", "quick", "springs", "large", "paper", "cnn", "gnn", "dense"] = "default"
+    profile: str | None = None
     data: Path | None = None
     maps: int | None = None
     teacher: str | None = None
@@ -50,11 +53,17 @@ class Train:
     producers: int | None = None
     resume: bool = False
 
+    GROUPS: ClassVar[dict[str, tuple[str, ...]]] = {
+        "recipe": ("maps", "teacher", "rounds", "learning_rate", "seed", "precision"),
+        "machine": ("device", "threads", "producers"),
+    }
+
     def run(self, console: Console) -> None:
         """Train, with progress, which only the first of several processes shows."""
         import torch
 
         from triform.dataset import load_manifest
+        from triform.simulation import get_profile
         from triform.training import get_preset, train
         from triform.training.processes import launched
 
@@ -70,6 +79,8 @@ class Train:
         if self.data is not None and self.teacher is None and preset.scenes is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(preset, **given)
+        if self.profile is not None:
+            config = config.for_robot(get_profile(self.profile))
         with maps_progress(console) as update:
             best = train(
                 config,
@@ -86,7 +97,7 @@ class Train:
                 ),
             )
         console.print(
-            f"best policy: {best}; to use it:\ntriform export {best}\ntriform evaluate --weights {best}",
+            f"best policy: {best}; to use it:\ntriform export {best}\ntriform evaluate --controller policy:{best}",
             soft_wrap=True,
             markup=False,
         )

@@ -1,6 +1,6 @@
 """Controllers behind one interface, and the loop that drives any team with any of them."""
 
-from triform.control.expert import EXPERTS, Expert, ExpertVariant, expert_into, expert_variant
+from triform.control.expert import EXPERTS, Expert, ExpertVariant, Springs, expert_into, expert_variant
 from triform.control.gnn import GnnController
 from triform.control.learned import LearnedPolicy
 from triform.control.loop import control_steps, drive
@@ -29,6 +29,7 @@ __all__ = [
     "SafetyFilter",
     "SafetySettings",
     "ScanPipeline",
+    "Springs",
     "Teacher",
     "Triangulating",
     "TriangulatingLaw",

@@ -28,7 +28,7 @@ from triform.control.segments import (
 )
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import FloatArray, IntArray, Scan, require
+from triform.types import Body, FloatArray, IntArray, Scan, require
 
 #: Scans that keep a thread busy for a few milliseconds.
 SCANS_PER_THREAD = 100
@@ -208,8 +208,8 @@ def _detect_scans(ranges, footprint, directions, angle_min, range_max, centres, 
         counts[s] = detect_into(ranges[s], footprint, directions, angle_min, range_max, centres[s])
 
 
-def kernel_footprint(footprint: tuple[float, float] | float) -> tuple[float, float, bool]:
-    """Return (half length, half width, circle?) [m] for the kernels.
+def kernel_footprint(footprint: tuple[float, float] | float) -> Body:
+    """Return a footprint as kernels take it.
 
     Args:
         footprint: Length and width of a box, or the diameter of a circle [m].
@@ -223,7 +223,7 @@ def kernel_footprint(footprint: tuple[float, float] | float) -> tuple[float, flo
         f"footprint is {footprint}; it must be the length and width of a box or the diameter of a circle, "
         "positive and finite [m]",
     )
-    return sizes[0] / 2, sizes[1] / 2, not isinstance(footprint, tuple)
+    return Body(sizes[0] / 2, sizes[1] / 2, not isinstance(footprint, tuple))
 
 
 def ray_directions(scan: Scan) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,15 +57,34 @@ def expert_variant(name: str) -> ExpertVariant:
     return choose("expert", name, EXPERTS)
 
 
+class Springs(NamedTuple):
+    """What an expert does about its neighbours.
+
+    Attributes:
+        distance: Prescribed neighbour distance d* [m].
+        gain: Spring gain [1/s].
+        odd_gain: Gain of the odd spring [1/s].
+        max_speed: Speed to which a longer command is scaled [m/s].
+        sensing_range: Farther robots are not seen [m].
+    """
+
+    distance: float
+    gain: float
+    odd_gain: float
+    max_speed: float
+    sensing_range: float
+
+
 @kernel
-def _pull(poses, i, j, distance, gain, odd_gain):
+def _pull(poses, i, j, springs):
     """What the edge to robot j adds to the velocity of robot i in the world frame [m/s]."""
     d_x = poses[j, 0] - poses[i, 0]
     d_y = poses[j, 1] - poses[i, 1]
     length = np.sqrt(d_x * d_x + d_y * d_y)
     if length == 0.0:
         return 0.0, 0.0
-    strain = (length - distance) / length
+    gain, odd_gain = springs.gain, springs.odd_gain
+    strain = (length - springs.distance) / length
     return strain * (gain * d_x - odd_gain * d_y), strain * (gain * d_y + odd_gain * d_x)
 
 
@@ -83,21 +102,17 @@ def _write_twist(poses, i, v_x, v_y, max_speed, out):
 
 
 @kernel
-def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, out):
+def expert_into(poses, active, springs, graph, out):
     """Write the expert's body twists of one small team; allocates nothing for up to ``SMALL_TEAM`` robots.
 
     Args:
         poses: Poses in the world frame [m, m, rad], shape (N, 3).
         active: Robots that exist, shape (N,); the twists of others are zero.
-        distance: Prescribed neighbour distance d* [m].
-        gain: Spring gain [1/s].
-        odd_gain: Gain of the odd spring [1/s].
-        max_speed: Speed to which a longer command is scaled [m/s].
-        sensing_range: Farther robots are not seen [m].
-        graph: Room for the Gabriel graph, bool, shape (N, N); holds it afterwards.
+        springs: ``Springs``.
+        graph: Gabriel graph to fill, bool, shape (N, N).
         out: Body twists to fill [m/s, m/s, rad/s], shape (N, 3).
     """
-    gabriel_into(poses, active, sensing_range, graph)
+    gabriel_into(poses, active, springs.sensing_range, graph)
     for i in range(active.shape[0]):
         if not active[i]:
             out[i] = 0.0
@@ -105,46 +120,46 @@ def expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_rang
             v_x = v_y = 0.0
             for j in range(active.shape[0]):
                 if graph[i, j]:
-                    pull_x, pull_y = _pull(poses, i, j, distance, gain, odd_gain)
+                    pull_x, pull_y = _pull(poses, i, j, springs)
                     v_x += pull_x
                     v_y += pull_y
-            _write_twist(poses, i, v_x, v_y, max_speed, out)
+            _write_twist(poses, i, v_x, v_y, springs.max_speed, out)
 
 
 @kernel
-def _expert_cells(world, cells, poses, distance, gain, odd_gain, max_speed, sensing_range, out):
+def _expert_cells(world, cells, poses, springs, out):
     """Write the body twists of the robots in some ``cells`` of a world."""
     robots, _, parts, _ = world
-    limit = sensing_range * sensing_range
-    room, ends = make_workspace(robots.shape[0]), np.empty(robots.shape[0] + 1, dtype=np.int64)
+    limit = springs.sensing_range * springs.sensing_range
+    workspace, ends = make_workspace(robots.shape[0]), np.empty(robots.shape[0] + 1, dtype=np.int64)
     listed = np.empty((64, 1), dtype=np.int64)
     for cell in cells:
-        listed = list_neighbours(world, cell, limit, room, listed, ends)
+        listed = list_neighbours(world, cell, limit, workspace, listed, ends)
         for own in range(parts[cell, 0], parts[cell, 1]):
             i, k = robots[own], own - parts[cell, 0]
             v_x = v_y = 0.0
             # In growing order of the robots, as in ``expert_into``, so that both round alike.
             for neighbour in range(ends[k], ends[k + 1]):
-                pull_x, pull_y = _pull(poses, i, listed[neighbour, 0], distance, gain, odd_gain)
+                pull_x, pull_y = _pull(poses, i, listed[neighbour, 0], springs)
                 v_x += pull_x
                 v_y += pull_y
-            _write_twist(poses, i, v_x, v_y, max_speed, out)
+            _write_twist(poses, i, v_x, v_y, springs.max_speed, out)
 
 
 @kernel
-def expert_worlds(poses, active, distance, gain, odd_gain, max_speed, sensing_range, out, first, last):
+def expert_worlds(poses, active, springs, out, first, last):
     """Write the expert's body twists of the worlds ``first <= b < last``; arguments as ``expert_into``, (B, ...)."""
     robots = poses.shape[1]
     small = robots <= SMALL_TEAM
     graph = np.empty((robots, robots) if small else (0, 0), dtype=np.bool_)
     for b in range(first, last):
         if small:
-            expert_into(poses[b], active[b], distance, gain, odd_gain, max_speed, sensing_range, graph, out[b])
+            expert_into(poses[b], active[b], springs, graph, out[b])
         else:
             out[b] = 0.0
             world = make_cells(poses[b], active[b])
             cells = list_cells(world)
-            _expert_cells(world, cells, poses[b], distance, gain, odd_gain, max_speed, sensing_range, out[b])
+            _expert_cells(world, cells, poses[b], springs, out[b])
 
 
 class Expert:
@@ -230,25 +245,25 @@ class Expert:
         if not np.isfinite(view.poses[view.active]).all():
             raise TriformError("the expert needs finite poses of all active robots")
         poses, active = np.ascontiguousarray(view.poses, dtype=np.float64), np.ascontiguousarray(view.active)
-        law = (self.distance, self.gain, self.odd_gain, self.max_speed, self.sensing_range)
+        springs = Springs(self.distance, self.gain, self.odd_gain, self.max_speed, self.sensing_range)
         out = np.zeros(poses.shape)
         worlds, robots = active.shape
         if robots <= SMALL_TEAM or worlds >= usable_threads():
             in_parts(
-                lambda first, last: expert_worlds(poses, active, *law, out, first, last),
+                lambda first, last: expert_worlds(poses, active, springs, out, first, last),
                 worlds, active.size, ROBOTS_PER_THREAD,
             )  # fmt: skip
             return out
         for b in range(worlds):
-            self._command_large(poses[b], active[b], law, out[b])
+            self._command_large(poses[b], active[b], springs, out[b])
         return out
 
     @staticmethod
-    def _command_large(poses: FloatArray, active: BoolArray, law: tuple[float, ...], out: FloatArray) -> None:
+    def _command_large(poses: FloatArray, active: BoolArray, springs: Springs, out: FloatArray) -> None:
         """Write the body twists of one world, its cells shared out over the threads."""
         world = make_cells(poses, active)
         cells = list_cells(world)
         in_parts(
-            lambda first, last: _expert_cells(world, cells[first:last], poses, *law, out),
+            lambda first, last: _expert_cells(world, cells[first:last], poses, springs, out),
             len(cells), len(active), ROBOTS_PER_THREAD,
         )  # fmt: skip

@@ -29,7 +29,7 @@ from typing import Any, Generic
 import numpy as np
 
 from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint, ray_directions
-from triform.control.safety_kernels import guard_robots
+from triform.control.safety_kernels import Guard, guard_robots
 from triform.threads import in_parts
 from triform.types import Controller, FloatArray, ViewIn, require
 
@@ -133,17 +133,22 @@ class SafetyFilter(Generic[ViewIn]):
         ranges = np.ascontiguousarray(view.scans.ranges).reshape(-1, config.rays)
         active = np.ascontiguousarray(view.active).reshape(-1)
         body = kernel_footprint(guard.footprint)
-        circumradius = body[0] if body[2] else math.hypot(body[0], body[1])
-        settings = (
-            (ray_directions(view.scans), config.range_min, config.range_max),
+        circumradius = body.half_length if body.is_circle else math.hypot(body.half_length, body.half_width)
+        law = Guard(
+            ray_directions(view.scans),
+            config.range_min,
+            config.range_max,
             body,
-            (guard.rate, guard.min_gap, circumradius),
-            (guard.max_speed, guard.max_axis_speed),
-            view.time < guard.reaction,
+            circumradius,
+            guard.rate,
+            guard.min_gap,
+            guard.max_speed,
+            guard.max_axis_speed,
         )
+        early = view.time < guard.reaction
         flat = commands.reshape(-1, 3)
         in_parts(
-            lambda first, last: guard_robots(ranges, active, *settings, flat, first, last),
+            lambda first, last: guard_robots(ranges, active, law, early, flat, first, last),
             len(flat), len(flat), ROBOTS_PER_THREAD,
         )  # fmt: skip
         return commands

@@ -2,12 +2,41 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from triform.kernels import kernel
+from triform.types import Body
 
 #: Sine of the angle below which two lines count as parallel.
 _PARALLEL = 1e-9
+
+
+class Guard(NamedTuple):
+    """What limits a command.
+
+    Attributes:
+        directions: Unit vectors of the rays in the robot's frame, shape (R, 2).
+        range_min: Of the LiDAR [m].
+        range_max: Of the LiDAR [m].
+        body: Outline of all robots.
+        circumradius: Of that outline [m].
+        rate: Speed allowed towards a return, per gap beyond ``min_gap`` [1/s].
+        min_gap: Gap that robots keep [m].
+        max_speed: The drive shortens faster commands to this speed [m/s].
+        max_axis_speed: Then it clips both axes by themselves [m/s].
+    """
+
+    directions: Any
+    range_min: float
+    range_max: float
+    body: Body
+    circumradius: float
+    rate: float
+    min_gap: float
+    max_speed: float
+    max_axis_speed: float
 
 
 @kernel
@@ -18,7 +47,7 @@ def gap_along(distance, cos, sin, body):
         distance: Range of the return [m].
         cos: Direction of its ray in the robot's frame, x.
         sin: The same, y.
-        body: Outline: half length, half width, whether it is a circle [m].
+        body: Outline of the robot, ``Body``.
 
     Returns:
         The gap [m], negative inside the outline, and the unit vector along which it is measured, from the outline
@@ -69,11 +98,11 @@ def nearest_allowed(u_x, u_y, planes, count):
         low, high = -np.inf, np.inf
         for j in range(i):
             slope = n_x * planes[j, 1] - n_y * planes[j, 0]
-            room = planes[j, 2] - bound * (n_x * planes[j, 0] + n_y * planes[j, 1])
+            slack = planes[j, 2] - bound * (n_x * planes[j, 0] + n_y * planes[j, 1])
             if slope > _PARALLEL:
-                high = min(high, room / slope)
+                high = min(high, slack / slope)
             elif slope < -_PARALLEL:
-                low = max(low, room / slope)
+                low = max(low, slack / slope)
         if low > high:
             x, y = x * (bound / speed), y * (bound / speed)
         else:
@@ -101,9 +130,9 @@ def _confirmed(ranges, k, range_min, range_max):
 
 
 @kernel
-def _driven(u_x, u_y, limits):
+def _driven(u_x, u_y, guard):
     """What the drive makes of a velocity: shortened to a largest speed, then each axis clipped [m/s]."""
-    max_speed, max_axis_speed = limits
+    max_speed, max_axis_speed = guard.max_speed, guard.max_axis_speed
     speed = np.sqrt(u_x * u_x + u_y * u_y)
     if speed > max_speed:
         u_x, u_y = u_x * (max_speed / speed), u_y * (max_speed / speed)
@@ -121,11 +150,11 @@ def _is_blind(ranges, early):
 
 
 @kernel
-def _find_planes(ranges, sight, body, law, speed, planes):
+def _find_planes(ranges, guard, body, speed, planes):
     """Write the half-planes that can forbid a velocity of norm ``speed``; return their number and the least gap [m]."""
-    directions, range_min, range_max = sight
-    rate, min_gap, circumradius = law
-    reach = circumradius + min_gap + speed / rate
+    directions, range_min, range_max = guard.directions, guard.range_min, guard.range_max
+    rate, min_gap = guard.rate, guard.min_gap
+    reach = guard.circumradius + min_gap + speed / rate
     count, least = 0, np.inf
     for k in range(ranges.shape[0]):
         distance = _confirmed(ranges, k, range_min, range_max)
@@ -141,42 +170,39 @@ def _find_planes(ranges, sight, body, law, speed, planes):
 
 
 @kernel
-def guard_robots(ranges, active, sight, body, law, limits, early, commands, first, last):
+def guard_robots(ranges, active, guard, early, commands, first, last):
     """Limit the commands of the robots ``first <= m < last`` in place.
 
     Args:
         ranges: Newest scans [m], shape (M, R).
         active: Robots that exist, shape (M,).
-        sight: Unit vectors of the rays in the robot's frame (R, 2), ``range_min`` and ``range_max`` [m].
-        body: Outline of all robots: half length, half width, whether it is a circle [m].
-        law: Rate [1/s], ``min_gap`` and circumradius of the outline [m].
-        limits: The drive's largest speed and largest speed of an axis [m/s].
+        guard: ``Guard``.
         early: Whether scans may still be missing because the run has just begun.
         commands: Body twists, shape (M, 3) [m/s, m/s, rad/s].
         first: First robot.
         last: One behind the last.
     """
-    circle = (law[2], law[2], True)
+    circle = Body(guard.circumradius, guard.circumradius, True)
     planes = np.empty((ranges.shape[1] + 4, 3))
     for m in range(first, last):
         turning = commands[m, 2] != 0.0
-        u_x, u_y = _driven(commands[m, 0], commands[m, 1], limits)
+        u_x, u_y = _driven(commands[m, 0], commands[m, 1], guard)
         speed = np.sqrt(u_x * u_x + u_y * u_y)
         if not active[m] or (speed == 0.0 and not turning):
             continue
         if _is_blind(ranges[m], early):
             commands[m] = 0.0
             continue
-        count, least = _find_planes(ranges[m], sight, circle if turning else body, law, speed, planes)
+        count, least = _find_planes(ranges[m], guard, circle if turning else guard.body, speed, planes)
         if turning and least <= 0.0:
             commands[m, 2] = 0.0
         if count == 0:
             continue
-        if limits[1] < np.inf:
+        if guard.max_axis_speed < np.inf:
             for side in range(4):
                 planes[count, 0] = (1.0, -1.0, 0.0, 0.0)[side]
                 planes[count, 1] = (0.0, 0.0, 1.0, -1.0)[side]
-                planes[count, 2] = limits[1]
+                planes[count, 2] = guard.max_axis_speed
                 count += 1
         x, y = nearest_allowed(u_x, u_y, planes, count)
         if x != u_x or y != u_y:

@@ -7,7 +7,7 @@ exactly what the learned policies see, but are told the footprint of the robots.
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,11 +20,11 @@ from triform.control.detection import (
     ray_directions,
 )
 from triform.control.triangulating import TriangulatingLaw
-from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, triangulate
+from triform.control.triangulating_kernels import law_workspace, triangulate
 from triform.geometry.gabriel import gabriel_into
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import SENSING_RANGE, FloatArray, View, require
+from triform.types import SENSING_RANGE, Body, FloatArray, View, require
 
 
 @kernel
@@ -56,32 +56,59 @@ def _shift(centres, count, odometry):
         centres[j, 0], centres[j, 1] = cos * x + sin * y, cos * y - sin * x
 
 
+class _Seen(NamedTuple):
+    """What M robots see.
+
+    Attributes:
+        ranges: Ranges of their scans [m], shape (M, R).
+        active: Robots that exist, shape (M,).
+        odometry: Their poses now in their body frames at the moments of their scans [m, m, rad], shape (M, 3).
+        footprint: Outline of all robots.
+        directions: Unit vectors of the rays, shape (R, 2).
+        angle_min: Angle of the first ray [rad].
+        range_max: Farther returns are not used [m].
+    """
+
+    ranges: Any
+    active: Any
+    odometry: Any
+    footprint: Body
+    directions: Any
+    angle_min: float
+    range_max: float
+
+
 @kernel
-def _command_robots(
-    ranges, active, odometry, footprint, directions, angle_min, range_max, distance, gain, max_speed, out, first, last
-):
-    """Write the body twists (M, 3) of the robots ``first <= m < last`` from their scans (M, R) and odometry (M, 3)."""
-    centres = np.empty((most_robots(ranges.shape[1]), 2))
+def _detect(seen, m, centres):
+    """Write the centres of the robots that robot m sees, from where it is now; return their number."""
+    count = detect_into(seen.ranges[m], seen.footprint, seen.directions, seen.angle_min, seen.range_max, centres)
+    _shift(centres, count, seen.odometry[m])
+    return count
+
+
+@kernel
+def _command_robots(seen, distance, gain, max_speed, out, first, last):
+    """Write the body twists (M, 3) of the robots ``first <= m < last`` by Eq. 8 from what they have ``_Seen``."""
+    centres = np.empty((most_robots(seen.ranges.shape[1]), 2))
     for m in range(first, last):
         out[m] = 0.0
-        if active[m]:
-            count = detect_into(ranges[m], footprint, directions, angle_min, range_max, centres)
-            _shift(centres, count, odometry[m])
+        if seen.active[m]:
+            count = _detect(seen, m, centres)
             _spring_command(centres, count, distance, gain, max_speed, out[m])
 
 
 @kernel
-def _triangulating_command(centres, count, distance, law, max_speed, noise, room, out):
+def _triangulating_command(centres, count, distance, law, max_speed, noise, workspace, out):
     """Write the triangulating law for a robot at the origin among ``count`` centres, shape (3,)."""
-    x, y, linked, terms, facts = room
+    x, y = workspace.x, workspace.y
     x[0] = y[0] = 0.0
-    points, reach = 1, law[0] * distance
+    points, reach = 1, law.sight * distance
     for j in range(count):
         # The near side of a robot beyond the law's sight may be within it.
         if np.hypot(centres[j, 0], centres[j, 1]) <= reach:
             x[points], y[points] = centres[j, 0] / distance, centres[j, 1] / distance
             points += 1
-    v_x, v_y, amplitude = triangulate(x, y, points, law, linked, terms, facts)
+    v_x, v_y, amplitude = triangulate(points, law, workspace)
     u_x = distance * (v_x + amplitude * noise[0])
     u_y = distance * (v_y + amplitude * noise[1])
     speed = np.hypot(u_x, u_y)
@@ -90,35 +117,16 @@ def _triangulating_command(centres, count, distance, law, max_speed, noise, room
 
 
 @kernel
-def _triangulate_robots(
-    ranges,
-    active,
-    odometry,
-    footprint,
-    directions,
-    angle_min,
-    range_max,
-    distance,
-    law,
-    max_speed,
-    noise,
-    out,
-    first,
-    last,
-):
+def _triangulate_robots(seen, distance, law, max_speed, noise, out, first, last):
     """As ``_command_robots`` by the triangulating law, with exploration noise of shape (M, 2)."""
-    points = most_robots(ranges.shape[1]) + 1
+    points = most_robots(seen.ranges.shape[1]) + 1
     centres = np.empty((points, 2))
-    room = (
-        np.empty(points), np.empty(points), np.empty((points, points), dtype=np.bool_), np.empty((points, EDGE_TERMS)),
-        np.empty(FEATURES),
-    )  # fmt: skip
+    workspace = law_workspace(points)
     for m in range(first, last):
         out[m] = 0.0
-        if active[m]:
-            count = detect_into(ranges[m], footprint, directions, angle_min, range_max, centres)
-            _shift(centres, count, odometry[m])
-            _triangulating_command(centres, count, distance, law, max_speed, noise[m], room, out[m])
+        if seen.active[m]:
+            count = _detect(seen, m, centres)
+            _triangulating_command(centres, count, distance, law, max_speed, noise[m], workspace, out[m])
 
 
 class ScanPipeline:
@@ -191,12 +199,12 @@ class ScanPipeline:
         odometry = (
             np.zeros((len(ranges), 3)) if view.odometry is None else np.ascontiguousarray(view.odometry).reshape(-1, 3)
         )
-        sight = (odometry, self._footprint, ray_directions(scan), scan.config.angle_min)
+        sight = (ranges, active, odometry, self._footprint, ray_directions(scan), scan.config.angle_min)
         out = np.empty((len(ranges), 3))
         if self._triangulating is None:
-            seen = (ranges, active, *sight, scan.config.range_max)
+            seen = _Seen(*sight, scan.config.range_max)
             in_parts(
-                lambda first, last: _command_robots(*seen, *self._springs, out, first, last),
+                lambda first, last: _command_robots(seen, *self._springs, out, first, last),
                 len(ranges), len(ranges), SCANS_PER_THREAD,
             )  # fmt: skip
         else:
@@ -205,9 +213,9 @@ class ScanPipeline:
             noise = (
                 np.zeros((len(ranges), 2)) if view.noise is None else np.ascontiguousarray(view.noise).reshape(-1, 2)
             )
-            seen = (ranges, active, *sight, min(scan.config.range_max, SENSING_RANGE * distance))
+            seen = _Seen(*sight, min(scan.config.range_max, SENSING_RANGE * distance))
             in_parts(
-                lambda first, last: _triangulate_robots(*seen, distance, law, max_speed, noise, out, first, last),
+                lambda first, last: _triangulate_robots(seen, distance, law, max_speed, noise, out, first, last),
                 len(ranges), len(ranges), SCANS_PER_THREAD,
             )  # fmt: skip
         return out.reshape(*view.active.shape, 3)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from triform.control.expert import ExpertVariant, expert_variant, expert_worlds
+from triform.control.expert import ExpertVariant, Springs, expert_variant, expert_worlds
 from triform.types import FloatArray, require
 
 
@@ -37,12 +37,15 @@ class Teacher:
         """Sight and odd gain of the expert."""
         return expert_variant(self.name)
 
+    @property
+    def springs(self) -> Springs:
+        """The expert as kernels take it."""
+        variant = self.variant
+        return Springs(self.distance, self.gain, variant.odd_gain, self.max_speed, variant.sensing_range)
+
     def label(self, poses: FloatArray) -> FloatArray:
         """Body twists (B, N, 3) for poses (B, N, 3); on one thread, with the interpreter's lock released."""
         given = np.ascontiguousarray(poses, dtype=np.float64)
         out = np.empty_like(given)
-        expert_worlds(
-            given, np.ones(given.shape[:2], dtype=np.bool_), self.distance, self.gain, self.variant.odd_gain,
-            self.max_speed, self.variant.sensing_range, out, 0, len(given),
-        )  # fmt: skip
+        expert_worlds(given, np.ones(given.shape[:2], dtype=np.bool_), self.springs, out, 0, len(given))
         return out

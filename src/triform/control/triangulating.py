@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, hidden, triangulate
+from triform.control.triangulating_kernels import LawConstants, hidden, law_workspace, triangulate
 from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
 from triform.kernels import kernel
 from triform.threads import in_parts
@@ -21,7 +21,7 @@ BLOCKING_RADIUS = 0.14
 
 @dataclass(frozen=True)
 class TriangulatingLaw:
-    """Constants of the law; lengths in d*, speeds in d*/s, gains in 1/s, angles in rad. See docs/method.md.
+    """Constants of the law; lengths in d*, speeds in d*/s, gains in 1/s, angles in rad. See docs/triangulating.md.
 
     The *strain* of an edge is its length minus 1. A *bridge* is an edge to a Gabriel neighbour with whom the robot
     shares no other: an edge without a triangle.
@@ -72,17 +72,31 @@ class TriangulatingLaw:
             require(getattr(self, name) > 0, f"{name} of the law is {getattr(self, name)}; it must be positive")
 
     @property
-    def constants(self) -> tuple[float, ...]:
-        """The constants as the kernels take them."""
-        return tuple(float(getattr(self, each.name)) for each in fields(self))
+    def constants(self) -> LawConstants:
+        """The constants as kernels take them."""
+        return LawConstants(*(float(getattr(self, each.name)) for each in fields(self)))
+
+
+class _Settings(NamedTuple):
+    """What the controller is told beside the law.
+
+    Attributes:
+        distance: Prescribed neighbour distance d* [m].
+        blocking: Radius of the disc around a robot that hides who is behind it [m].
+        max_speed: Longer commands are scaled to this speed [m/s].
+    """
+
+    distance: float
+    blocking: float
+    max_speed: float
 
 
 @kernel
-def _command_one(i, candidates, number, poses, law, settings, noise, room, out):
+def _command_one(i, candidates, number, poses, law, settings, noise, workspace, out):
     """Write the body twist of robot i, which looks at the first ``number`` robots of ``candidates``."""
     distance, blocking, max_speed = settings
-    x, y, all_x, all_y, linked, terms, facts = room
-    reach = law[0] * distance
+    x, y, all_x, all_y = workspace.x, workspace.y, workspace.all_x, workspace.all_y
+    reach = law.sight * distance
     cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
     all_x[0] = all_y[0] = x[0] = y[0] = 0.0
     near = 1
@@ -98,7 +112,7 @@ def _command_one(i, candidates, number, poses, law, settings, noise, room, out):
         if blocking == 0.0 or not hidden(all_x, all_y, near, k, blocking / distance):
             x[count], y[count] = all_x[k], all_y[k]
             count += 1
-    v_x, v_y, amplitude = triangulate(x, y, count, law, linked, terms, facts)
+    v_x, v_y, amplitude = triangulate(count, law, workspace)
     v_x = distance * (v_x + amplitude * noise[i, 0])
     v_y = distance * (v_y + amplitude * noise[i, 1])
     speed = np.sqrt(v_x * v_x + v_y * v_y)
@@ -107,19 +121,11 @@ def _command_one(i, candidates, number, poses, law, settings, noise, room, out):
 
 
 @kernel
-def _make_workspace(most):
-    return (
-        np.empty(most), np.empty(most), np.empty(most), np.empty(most),
-        np.empty((most, most), dtype=np.bool_), np.empty((most, EDGE_TERMS)), np.empty(FEATURES),
-    )  # fmt: skip
-
-
-@kernel
 def _command_worlds(poses, active, law, settings, noise, out, first, last):
     """Write the body twists of the worlds ``first <= b < last``; every per-robot array has the leading axis B."""
     robots = poses.shape[1]
-    reach = (law[0] * settings[0]) ** 2
-    room = _make_workspace(robots + 1 if robots <= SMALL_TEAM else 1)
+    reach = (law.sight * settings.distance) ** 2
+    workspace = law_workspace(robots + 1 if robots <= SMALL_TEAM else 1)
     present = np.empty(robots, dtype=np.int64)
     for b in range(first, last):
         out[b] = 0.0
@@ -130,7 +136,7 @@ def _command_worlds(poses, active, law, settings, noise, out, first, last):
                     present[number] = j
                     number += 1
             for k in range(number):
-                _command_one(present[k], present, number, poses[b], law, settings, noise[b], room, out[b])
+                _command_one(present[k], present, number, poses[b], law, settings, noise[b], workspace, out[b])
             continue
         world = make_cells(poses[b], active[b])
         in_slots, _, parts, _ = world
@@ -141,10 +147,10 @@ def _command_worlds(poses, active, law, settings, noise, out, first, last):
                 near[k] = in_slots[near[k]]
             # In growing order of the robots, so that sums do not depend on the cells.
             near[:number].sort()
-            if number >= room[0].shape[0]:
-                room = _make_workspace(2 * number + 1)
+            if number >= workspace.x.shape[0]:
+                workspace = law_workspace(2 * number + 1)
             for own in range(parts[cell, 0], parts[cell, 1]):
-                _command_one(in_slots[own], near, number, poses[b], law, settings, noise[b], room, out[b])
+                _command_one(in_slots[own], near, number, poses[b], law, settings, noise[b], workspace, out[b])
 
 
 class Triangulating:
@@ -179,7 +185,7 @@ class Triangulating:
             0 <= blocking_radius < np.inf, f"blocking_radius is {blocking_radius} m; it must be finite, not negative"
         )
         self.law = TriangulatingLaw() if law is None else law
-        self._settings = (float(distance), float(blocking_radius), float(max_speed))
+        self._settings = _Settings(float(distance), float(blocking_radius), float(max_speed))
 
     @property
     def description(self) -> dict[str, Any]:

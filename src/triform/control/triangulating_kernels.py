@@ -1,23 +1,81 @@
 """The triangulating law of one robot, compiled: what it does about the robots that it sees.
 
 Lengths are in units of the prescribed distance d* and speeds in d*/s throughout, so that one law serves all distances.
-The law is derived and its terms are named in docs/method.md; ``TriangulatingLaw`` says what each constant means.
+The law is derived and its terms are named in docs/triangulating.md; ``TriangulatingLaw`` says what each constant means.
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from triform.kernels import kernel
 
-#: Facts about a robot's surroundings that ``triangulate`` also tells: see there.
-FEATURES = 5
-#: Columns that describe a seen robot: see ``triangulate``.
-EDGE_TERMS = 4
+#: Features of a robot's surroundings, see ``LawWorkspace``.
+LAW_FEATURES = 5
+#: Features of a seen robot, see ``LawWorkspace``.
+LAW_EDGE_FEATURES = 4
 #: Steps of the search for the centre of the smallest circle around all; its error falls as one over their number.
 _CIRCLE_STEPS = 25
 #: Edges count as loose if both ends are within this distance of the robot.
 _LOOSE_REACH = 1.5
+
+
+class LawConstants(NamedTuple):
+    """Constants of the law; ``TriangulatingLaw`` says what each means, and its unit."""
+
+    sight: float
+    contact_gain: float
+    contact_range: float
+    gain: float
+    yield_strain: float
+    yield_slope: float
+    far_range: float
+    far_gain: float
+    odd_gain: float
+    compaction_speed: float
+    loose_length: float
+    loose_width: float
+    bridge_pull: float
+    bridge_push: float
+    strain_push: float
+    strain_limit: float
+    strain_width: float
+
+
+class LawWorkspace(NamedTuple):
+    """What the law reads and writes about one robot and those around it, in any fixed orientation.
+
+    Attributes:
+        x: Where the robots that are seen stand, relative to the one that looks [d*]; point 0 is that robot itself, at
+            the origin, shape (K,).
+        y: The same along the other axis.
+        all_x: The same of all robots in reach, hidden ones among them; the law does not read it.
+        all_y: The same along the other axis.
+        linked: Gabriel graph of the points, bool, shape (K, K).
+        edge_features: Of every seen robot: what it adds to the velocity by itself (2) [d*/s], whether it is a Gabriel
+            neighbour and whether it shares one with the robot that looks, shape (K, LAW_EDGE_FEATURES).
+        features: Whether the robot has a bridge, strain, looseness, and the direction of compaction (2), shape
+            (LAW_FEATURES,).
+    """
+
+    x: Any
+    y: Any
+    all_x: Any
+    all_y: Any
+    linked: Any
+    edge_features: Any
+    features: Any
+
+
+@kernel
+def law_workspace(points):
+    """A ``LawWorkspace`` for up to ``points`` robots, the one that looks among them."""
+    return LawWorkspace(
+        np.empty(points), np.empty(points), np.empty(points), np.empty(points),
+        np.empty((points, points), dtype=np.bool_), np.empty((points, LAW_EDGE_FEATURES)), np.empty(LAW_FEATURES),
+    )  # fmt: skip
 
 
 @kernel
@@ -67,32 +125,23 @@ def _circle_centre(x, y, count):
 
 
 @kernel
-def triangulate(x, y, count, law, linked, terms, facts):
+def triangulate(count, law, workspace):
     """The law of one robot.
 
     Args:
-        x: Where the robots are, relative to this one, in any fixed orientation [d*]; point 0 is the robot itself, at
-            the origin, shape (>= count,).
-        y: The same along the other axis.
         count: Points, this robot and those that it sees.
-        law: ``TriangulatingLaw.constants``.
-        linked: Room for the Gabriel graph of the points, bool, shape (>= count, >= count); holds it afterwards.
-        terms: To fill for every seen robot: what it adds to the velocity by itself (2) [d*/s], whether it is a
-            Gabriel neighbour and whether it shares one with this robot, shape (>= count, EDGE_TERMS).
-        facts: To fill: whether the robot has a bridge, strain, looseness, and the direction of compaction (2), shape
-            (FEATURES,).
+        law: ``LawConstants``.
+        workspace: ``LawWorkspace`` with the points; its graph and features are filled.
 
     Returns:
         Mean velocity (v_x, v_y) and the standard deviation along each axis of the exploration noise upon it [d*/s].
     """
-    (
-        sight, contact_gain, contact_range, gain, yield_strain, yield_slope, far_range, far_gain, odd_gain,
-        compaction_speed, loose_length, loose_width, bridge_pull, bridge_push, strain_push, strain_limit, strain_width,
-    ) = law  # fmt: skip
-    facts[:] = 0.0
+    x, y, linked = workspace.x, workspace.y, workspace.linked
+    edge_features, features = workspace.edge_features, workspace.features
+    features[:] = 0.0
     if count < 2:
         return 0.0, 0.0, 0.0
-    _link(x, y, count, sight, linked)
+    _link(x, y, count, law.sight, linked)
     radius = np.empty(count)
     for k in range(count):
         radius[k] = np.sqrt(x[k] * x[k] + y[k] * y[k])
@@ -101,7 +150,7 @@ def triangulate(x, y, count, law, linked, terms, facts):
     for j in range(1, count):
         if radius[j] == 0.0:
             # Robots in one place have no direction from each other.
-            terms[j] = 0.0
+            edge_features[j] = 0.0
             continue
         u_x, u_y = x[j] / radius[j], y[j] / radius[j]
         strain = radius[j] - 1.0
@@ -111,46 +160,46 @@ def triangulate(x, y, count, law, linked, terms, facts):
                 shared = True
                 break
         along = across = 0.0
-        if radius[j] < contact_range:
-            along += contact_gain * (radius[j] - contact_range)
+        if radius[j] < law.contact_range:
+            along += law.contact_gain * (radius[j] - law.contact_range)
         if linked[0, j]:
             # Two robots cannot make a triangle: they keep their distance and nothing more.
             bridge = bridge or (not shared and count > 2)
             # Bridges do not yield: they are all that holds two parts of a team together.
-            if strain < yield_strain or not shared:
-                along += gain * strain
+            if strain < law.yield_strain or not shared:
+                along += law.gain * strain
             else:
-                along += gain * (yield_strain - yield_slope * (strain - yield_strain))
-            if radius[j] > far_range:
-                along += far_gain * (radius[j] - far_range)
-            across = odd_gain * strain
+                along += law.gain * (law.yield_strain - law.yield_slope * (strain - law.yield_strain))
+            if radius[j] > law.far_range:
+                along += law.far_gain * (radius[j] - law.far_range)
+            across = law.odd_gain * strain
             largest = max(largest, abs(strain))
         else:
             if strain < 0.0:
-                along += gain * strain
+                along += law.gain * strain
             away_x += u_x
             away_y += u_y
-        terms[j, 0] = along * u_x - across * u_y
-        terms[j, 1] = along * u_y + across * u_x
-        terms[j, 2] = 1.0 if linked[0, j] else 0.0
-        terms[j, 3] = 1.0 if shared else 0.0
-        v_x += terms[j, 0]
-        v_y += terms[j, 1]
-    strained = max(0.0, min(1.0, (largest - strain_limit) / strain_width))
-    loose = _looseness(x, y, radius, count, linked, loose_length, loose_width)
-    facts[0], facts[1], facts[2] = 1.0 if bridge else 0.0, strained, loose
+        edge_features[j, 0] = along * u_x - across * u_y
+        edge_features[j, 1] = along * u_y + across * u_x
+        edge_features[j, 2] = 1.0 if linked[0, j] else 0.0
+        edge_features[j, 3] = 1.0 if shared else 0.0
+        v_x += edge_features[j, 0]
+        v_y += edge_features[j, 1]
+    strained = max(0.0, min(1.0, (largest - law.strain_limit) / law.strain_width))
+    loose = _looseness(x, y, radius, count, linked, law.loose_length, law.loose_width)
+    features[0], features[1], features[2] = 1.0 if bridge else 0.0, strained, loose
     if loose > 0.0:
         c_x, c_y = _circle_centre(x, y, count)
         scale = loose / max(np.sqrt(c_x * c_x + c_y * c_y), 0.2)
-        facts[3], facts[4] = scale * c_x, scale * c_y
-        v_x += compaction_speed * facts[3]
-        v_y += compaction_speed * facts[4]
-    push = strain_push * strained
+        features[3], features[4] = scale * c_x, scale * c_y
+        v_x += law.compaction_speed * features[3]
+        v_y += law.compaction_speed * features[4]
+    push = law.strain_push * strained
     if bridge:
         length = np.sqrt(away_x * away_x + away_y * away_y) + 1e-9
-        v_x += bridge_pull * away_x / length
-        v_y += bridge_pull * away_y / length
-        push = bridge_push
+        v_x += law.bridge_pull * away_x / length
+        v_y += law.bridge_pull * away_y / length
+        push = law.bridge_push
     return v_x, v_y, push
 
 

@@ -7,16 +7,18 @@ enough to be near equilibrium; the moved ones are jittered, so that the learner 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from triform.control import Teacher, expert_into
 from triform.dataset.neighbours import COLUMNS, neighbours_into
 from triform.kernels import kernel
-from triform.perception import map_workspace, occupied_into
-from triform.simulation import is_connected
+from triform.perception import map_rules, map_workspace, occupied_into
+from triform.simulation import Arena, is_connected
 from triform.simulation.lidar import cast_world, scan_rays
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
+from triform.simulation.ray_kernels import Scene
 from triform.types import SENSING_RANGE, FloatArray, MapArray, MapConfig, ScanConfig, TriformError, require
 
 #: Placements drawn before giving up.
@@ -113,80 +115,71 @@ def _place(rng, side, min_spacing, poses):
 
 
 @kernel
-def _drive(poses, active, duration, step, distance, gain, odd_gain, max_speed, sensing_range, graph, twists):
+def _drive(poses, active, duration, step, springs, graph, twists):
     """Let the teacher move the robots for a while; headings stay, as its turn rate is zero."""
     for _ in range(int(duration / step)):
-        expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, twists)
+        expert_into(poses, active, springs, graph, twists)
         for i in range(poses.shape[0]):
             cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
             poses[i, 0] += step * (cos * twists[i, 0] - sin * twists[i, 1])
             poses[i, 1] += step * (sin * twists[i, 0] + cos * twists[i, 1])
 
 
+class _Draws(NamedTuple):
+    """``StateConfig`` as kernels take it; see there."""
+
+    side: float
+    min_spacing: float
+    moved: float
+    settled: float
+    moved_time: float
+    settled_time: float
+    moved_jitter: FloatArray
+    settled_jitter: FloatArray
+
+
 @kernel
-def _draw_records(
-    rng,
-    side,
-    min_spacing,
-    moved,
-    settled,
-    moved_time,
-    settled_time,
-    moved_jitter,
-    settled_jitter,
-    drive_speed,
-    distance,
-    gain,
-    odd_gain,
-    max_speed,
-    sensing_range,
-    body,
-    scan,
-    cell,
-    min_cells,
-    max_cells,
-    maps,
-    commands,
-    neighbours,
-):
+def _draw_records(rng, draws, driving, labelling, scene, scan, rules, maps, commands, neighbours):
+    """Fill ``maps``, ``commands`` and ``neighbours`` of ``FreshBatch``; whether every placement was found.
+
+    Robots have moved by the springs ``driving``, and the springs ``labelling`` command them.
+    """
     records, robots, size = maps.shape[0], maps.shape[1], maps.shape[2]
-    _, _, range_max, cos_rays, sin_rays = scan
+    moved, settled, moved_jitter, settled_jitter = draws.moved, draws.settled, draws.moved_jitter, draws.settled_jitter
+    cos_rays, sin_rays = scan.cos, scan.sin
     poses = np.empty((robots, 3))
     twists = np.empty((robots, 3))
     active = np.ones(robots, dtype=np.bool_)
     graph = np.empty((robots, robots), dtype=np.bool_)
     ranges = np.empty((robots, cos_rays.shape[0]))
     axes = np.empty((robots, 2))
-    grid, scratch, cells = map_workspace(size)
+    workspace = map_workspace(size)
+    cells = workspace.cells
     at_rest = np.zeros(3)
-    walls = np.empty((0, 4))
-    pillars = np.empty((0, 3))
     for e in range(records):
-        if not _place(rng, side, min_spacing, poses):
+        if not _place(rng, draws.side, draws.min_spacing, poses):
             return False
         kind = rng.random()
         duration, jitter = 0.0, 0.0
         if kind < moved:
-            duration = rng.random() * moved_time
+            duration = rng.random() * draws.moved_time
             jitter = moved_jitter[int(rng.random() * moved_jitter.shape[0])]
         elif kind < moved + settled:
-            duration = rng.random() * settled_time
+            duration = rng.random() * draws.settled_time
             jitter = settled_jitter[int(rng.random() * settled_jitter.shape[0])]
-        _drive(poses, active, duration, 0.1, distance, gain, odd_gain, drive_speed, sensing_range, graph, twists)
+        _drive(poses, active, duration, 0.1, driving, graph, twists)
         if jitter > 0.0:
             for i in range(robots):
                 poses[i, 0] += jitter * rng.standard_normal()
                 poses[i, 1] += jitter * rng.standard_normal()
-        expert_into(poses, active, distance, gain, odd_gain, max_speed, sensing_range, graph, twists)
+        expert_into(poses, active, labelling, graph, twists)
         commands[e] = twists
-        cast_world(poses, active, body, walls, pillars, scan, axes, ranges)
+        cast_world(poses, active, scene, scan, axes, ranges)
         for i in range(robots):
-            kept = occupied_into(
-                ranges[i], at_rest, cos_rays, sin_rays, range_max, cell, min_cells, max_cells, grid, scratch, cells
-            )
+            kept = occupied_into(ranges[i], at_rest, cos_rays, sin_rays, rules, workspace)
             for q in range(kept):
                 maps[e, i, cells[q] // size, cells[q] % size] = 1
-        neighbours_into(poses, graph, distance, odd_gain, neighbours[e])
+        neighbours_into(poses, graph, labelling.distance, labelling.odd_gain, neighbours[e])
     return True
 
 
@@ -219,8 +212,7 @@ def draw_fresh(
     batch_maps = np.zeros((records, robots, size, size), dtype=np.uint8)
     commands = np.empty((records, robots, 3))
     neighbours = np.empty((records, robots, robots - 1, COLUMNS))
-    placed = _draw_records(
-        rng,
+    draws = _Draws(
         states.side,
         states.min_spacing,
         states.moved,
@@ -229,20 +221,12 @@ def draw_fresh(
         states.settled_time,
         np.array(states.moved_jitter),
         np.array(states.settled_jitter),
-        min(states.max_speed, teacher.max_speed),
-        teacher.distance,
-        teacher.gain,
-        teacher.variant.odd_gain,
-        teacher.max_speed,
-        teacher.variant.sensing_range,
-        footprint.body,
-        scan_rays(scan),
-        map_config.cell,
-        map_config.min_cells,
-        map_config.max_cells,
-        batch_maps,
-        commands,
-        neighbours,
+    )
+    labelling, arena = teacher.springs, Arena.open()
+    driving = labelling._replace(max_speed=min(states.max_speed, teacher.max_speed))
+    scene, rules = Scene(footprint.body, arena.walls, arena.pillars), map_rules(scan, map_config)
+    placed = _draw_records(
+        rng, draws, driving, labelling, scene, scan_rays(scan), rules, batch_maps, commands, neighbours
     )
     if not placed:
         raise TriformError(

@@ -8,18 +8,20 @@ at random; sensor, footprint, walls and pillars are drawn anew for every state.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from triform.control.triangulating import TriangulatingLaw
-from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES, hidden, triangulate
+from triform.control.triangulating_kernels import LAW_EDGE_FEATURES, LAW_FEATURES, hidden, law_workspace, triangulate
 from triform.dataset.state_buffer import StateBuffer
 from triform.kernels import kernel
-from triform.perception import map_workspace, occupied_into
+from triform.perception import map_rules, map_workspace, occupied_into
 from triform.simulation.cast_kernels import cast_robot, find_axes
 from triform.simulation.lidar import scan_rays
-from triform.simulation.profiles import ROBOMASTER_EP
-from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, require
+from triform.simulation.profiles import ROBOMASTER_EP, Footprint
+from triform.simulation.ray_kernels import Scene
+from triform.types import Body, FloatArray, IntArray, MapArray, MapConfig, ScanConfig, require
 
 #: Robots that a view tells of, at most; any others are left out.
 SEEN = 24
@@ -37,7 +39,8 @@ class SceneConfig:
         sizes: Least and largest team of a random placement.
         jitter: Standard deviations of normal offsets added to visited states, one of which is drawn [d*].
         distances: Least and largest d* that a policy is meant for [m]; half of the states have 1 m.
-        usual: Share of states whose robots have the outline of a RoboMaster EP; the others are boxes and circles.
+        footprint: Usual outline of the robots.
+        usual: Share of states whose robots have that outline; the others are boxes and circles.
         noisy: Share of states whose ranges are noisy.
         noise: Largest standard deviation of their noise [m].
         dropping: Share of states in which rays are lost.
@@ -52,6 +55,7 @@ class SceneConfig:
     sizes: tuple[int, int] = (2, 20)
     jitter: tuple[float, ...] = (0.0, 0.0, 0.005, 0.015, 0.03, 0.06)
     distances: tuple[float, float] = (0.6, 1.5)
+    footprint: Footprint = ROBOMASTER_EP
     usual: float = 0.7
     noisy: float = 0.4
     noise: float = 0.03
@@ -91,14 +95,71 @@ class Views:
         maps: Occupancy maps, uint8, shape (M, H, W).
         commands: Mean velocity (x, y), turn rate (0) and amplitude of the push [d*/s, rad/s, d*/s], shape (M, 4).
         seen: The robots in sight: x, y [d*], what each adds to the velocity (2) [d*/s], whether it is a Gabriel
-            neighbour and whether it shares one with this robot; the rest infinite, shape (M, SEEN, 2 + EDGE_TERMS).
-        facts: Facts of ``triangulate``, shape (M, FEATURES).
+            neighbour and whether it shares one with this robot; the rest infinite, shape
+            (M, SEEN, 2 + LAW_EDGE_FEATURES).
+        features: Features of ``LawWorkspace``, shape (M, LAW_FEATURES).
     """
 
     maps: MapArray
     commands: FloatArray
     seen: FloatArray
-    facts: FloatArray
+    features: FloatArray
+
+
+class SceneDraws(NamedTuple):
+    """``SceneConfig`` as kernels take it, see there; ``outline`` is the usual one [m]."""
+
+    placed: float
+    sizes: tuple[int, int]
+    jitter: FloatArray
+    distances: tuple[float, float]
+    usual: float
+    outline: Body
+    noisy: float
+    noise: float
+    dropping: float
+    dropout: float
+    walled: float
+    pillared: float
+    views: int
+    max_speed: float
+
+
+class VisitedStates(NamedTuple):
+    """``StateBuffer`` as kernels take it.
+
+    Attributes:
+        positions: Positions of the robots of E states, one state behind the other, shape (K, 2) [d*].
+        offsets: Where every state begins, and the end of the last one, shape (E + 1,).
+    """
+
+    positions: FloatArray
+    offsets: IntArray
+
+
+def scene_draws(config: SceneConfig) -> SceneDraws:
+    """Return what varies from state to state as kernels take it."""
+    return SceneDraws(
+        config.placed,
+        config.sizes,
+        np.array(config.jitter),
+        config.distances,
+        config.usual,
+        config.footprint.body,
+        config.noisy,
+        config.noise,
+        config.dropping,
+        config.dropout,
+        config.walled,
+        config.pillared,
+        config.views,
+        config.max_speed,
+    )
+
+
+def visited_states(states: StateBuffer) -> VisitedStates:
+    """Return visited states as kernels take them."""
+    return VisitedStates(states.positions, states.offsets)
 
 
 @kernel
@@ -120,29 +181,39 @@ def _place(rng, robots, positions):
 
 
 @kernel
-def draw_body(rng, usual, distances, ep):
-    """Draw d* [m] and the outline of all robots in units of it: (d*, (half length, half width, round))."""
+def draw_body(rng, draws):
+    """Draw d* [m] and the outline of all robots in units of it: (d*, ``Body``)."""
+    distances, outline = draws.distances, draws.outline
     distance = 1.0
     if rng.random() < 0.5:
         distance = distances[0] * (distances[1] / distances[0]) ** rng.random()
-    half_length, half_width, round_ = ep[0], ep[1], False
-    if rng.random() >= usual:
+    half_length, half_width, round_ = outline.half_length, outline.half_width, outline.is_circle
+    if rng.random() >= draws.usual:
         if rng.random() < 0.5:
             half_length = half_width = 0.05 + 0.15 * rng.random()
             round_ = True
         else:
             half_length = 0.10 + 0.12 * rng.random()
             half_width = half_length * (0.6 + 0.4 * rng.random())
-    return distance, (half_length / distance, half_width / distance, round_)
+            round_ = False
+    return distance, Body(half_length / distance, half_width / distance, round_)
 
 
 @kernel
-def draw_positions(rng, visited, offsets, placed, sizes, jitter, team):
+def blocking_radius(body):
+    """Radius of the disc for which a robot blocks sight: half its mean width."""
+    return body.half_length if body.is_circle else (body.half_length + body.half_width) / 2.0
+
+
+@kernel
+def draw_positions(rng, visited, draws, team):
     """Write the positions of a random state into the front of ``team`` (longest, 2); returns the number of robots.
 
-    A placement that found no place gives no robot. Arguments are those of ``_draw_views``.
+    A placement that found no place gives no robot. The states come from ``VisitedStates`` and ``SceneDraws``.
     """
-    if offsets.shape[0] == 1 or rng.random() < placed:
+    positions, offsets = visited
+    sizes, jitter = draws.sizes, draws.jitter
+    if offsets.shape[0] == 1 or rng.random() < draws.placed:
         robots = sizes[0] + int(rng.random() * (sizes[1] - sizes[0] + 1))
         return robots if _place(rng, robots, team) else 0
     state = int(rng.random() * (offsets.shape[0] - 1))
@@ -150,26 +221,17 @@ def draw_positions(rng, visited, offsets, placed, sizes, jitter, team):
     deviation = jitter[int(rng.random() * jitter.shape[0])]
     for k in range(robots):
         for axis in range(2):
-            team[k, axis] = visited[offsets[state] + k, axis] + deviation * rng.standard_normal()
+            team[k, axis] = positions[offsets[state] + k, axis] + deviation * rng.standard_normal()
     return robots
 
 
 @kernel
-def longest_team(offsets, sizes):
+def longest_team(visited, draws):
     """Robots of the largest team that ``draw_positions`` can write."""
-    longest = sizes[1]
+    offsets, longest = visited.offsets, draws.sizes[1]
     for e in range(offsets.shape[0] - 1):
         longest = max(longest, offsets[e + 1] - offsets[e])
     return longest
-
-
-@kernel
-def label_workspace(longest):
-    """Workspace of ``label_robot`` for teams of up to ``longest`` robots."""
-    return (
-        np.empty(longest), np.empty(longest), np.empty(longest), np.empty(longest),
-        np.empty((longest, longest), dtype=np.bool_), np.empty((longest, EDGE_TERMS)),
-    )  # fmt: skip
 
 
 @kernel
@@ -210,11 +272,14 @@ def _draw_pillar(rng, positions, pillar):
 
 
 @kernel
-def label_robot(positions, i, heading, law, blocking, max_speed, room, command, seen, facts):
-    """Write what the law does for robot i and what it sees, in its body frame; arguments as ``Views`` has them."""
-    x, y, all_x, all_y, linked, terms = room
+def label_robot(positions, i, heading, law, blocking, max_speed, workspace, command, seen):
+    """Write what the law does for robot i and what it sees, in its body frame; arguments as ``Views`` has them.
+
+    The features of the robot are those of the workspace afterwards.
+    """
+    x, y, all_x, all_y = workspace.x, workspace.y, workspace.all_x, workspace.all_y
     # A robot is seen as long as its near side is within range.
-    sight = min(law[0], 2.0 + 0.7 * blocking)
+    sight = min(law.sight, 2.0 + 0.7 * blocking)
     cos, sin = np.cos(heading), np.sin(heading)
     all_x[0] = all_y[0] = x[0] = y[0] = 0.0
     near = 1
@@ -228,56 +293,51 @@ def label_robot(positions, i, heading, law, blocking, max_speed, room, command, 
         if not hidden(all_x, all_y, near, k, blocking):
             x[count], y[count] = all_x[k], all_y[k]
             count += 1
-    v_x, v_y, push = triangulate(x, y, count, law, linked, terms, facts)
+    v_x, v_y, push = triangulate(count, law, workspace)
     speed = np.sqrt(v_x * v_x + v_y * v_y)
     scale = max_speed / speed if speed > max_speed else 1.0
     command[0], command[1], command[2], command[3] = scale * v_x, scale * v_y, 0.0, push
     seen[:] = np.inf
     for k in range(1, min(count, seen.shape[0] + 1)):
         seen[k - 1, 0], seen[k - 1, 1] = x[k], y[k]
-        for c in range(EDGE_TERMS):
-            seen[k - 1, 2 + c] = terms[k, c]
+        for c in range(LAW_EDGE_FEATURES):
+            seen[k - 1, 2 + c] = workspace.edge_features[k, c]
 
 
 @kernel
-def _draw_views(
-    rng, visited, offsets, placed, sizes, jitter, distances, usual, ep, noisy, noise, dropping, dropout, walled,
-    pillared, views, max_speed, law, scan, cell, min_cells, max_cells, maps, commands, seen, facts
-):  # fmt: skip
-    """Fill ``maps``, ``commands``, ``seen`` and ``facts`` of ``Views``.
-
-    Other arguments are those of ``draw_views`` and ``SceneConfig``; the states with positions ``visited`` (K, 2) begin
-    at ``offsets`` (E + 1,).
-    """
+def _draw_views(rng, visited, draws, law, scan, rules, maps, commands, seen, features):
+    """Fill ``maps``, ``commands``, ``seen`` and ``features`` of ``Views``; other arguments as ``draw_views``."""
     size = maps.shape[1]
-    _, _, range_max, cos_rays, sin_rays = scan
-    longest = longest_team(offsets, sizes)
+    cos_rays, sin_rays = scan.cos, scan.sin
+    noise, noisy, dropout, dropping = draws.noise, draws.noisy, draws.dropout, draws.dropping
+    longest = longest_team(visited, draws)
     team = np.empty((longest, 2))
     poses, axes = np.empty((longest, 3)), np.empty((longest, 2))
     active = np.ones(longest, dtype=np.bool_)
-    room = label_workspace(longest)
+    workspace = law_workspace(longest)
     ranges = np.empty(cos_rays.shape[0])
     walls, pillars = np.empty((4, 4)), np.empty((1, 3))
     at_rest = np.zeros(3)
-    grid, scratch, cells = map_workspace(size)
+    map_memory = map_workspace(size)
+    cells = map_memory.cells
     m = 0
     while m < maps.shape[0]:
-        robots = draw_positions(rng, visited, offsets, placed, sizes, jitter, team)
+        robots = draw_positions(rng, visited, draws, team)
         if robots == 0:
             continue
         positions = team[:robots]
-        distance, body = draw_body(rng, usual, distances, ep)
-        blocking = body[0] if body[2] else (body[0] + body[1]) / 2.0
+        distance, body = draw_body(rng, draws)
+        blocking = blocking_radius(body)
         sigma = noise * rng.random() / distance if rng.random() < noisy else 0.0
         lost = dropout * rng.random() if rng.random() < dropping else 0.0
         wall_count = pillar_count = 0
-        if rng.random() < walled:
+        if rng.random() < draws.walled:
             _draw_room(rng, positions, walls)
             wall_count = 4
-        if rng.random() < pillared and _draw_pillar(rng, positions, pillars[0]):
+        if rng.random() < draws.pillared and _draw_pillar(rng, positions, pillars[0]):
             pillar_count = 1
         first = int(rng.random() * robots)
-        for view in range(min(views, robots, maps.shape[0] - m)):
+        for view in range(min(draws.views, robots, maps.shape[0] - m)):
             i = (first + view) % robots
             # Who is too far to matter is left out; the robot that looks stands in row 0.
             near = 1
@@ -290,20 +350,18 @@ def _draw_views(
             for k in range(near):
                 poses[k, 2] = (2.0 * rng.random() - 1.0) * np.pi
             find_axes(poses[:near], axes)
-            cast_robot(
-                0, poses[:near], active[:near], body, walls[:wall_count], pillars[:pillar_count], scan, axes, ranges
-            )
+            scene = Scene(body, walls[:wall_count], pillars[:pillar_count])
+            cast_robot(0, poses[:near], active[:near], scene, scan, axes, ranges)
             for k in range(ranges.shape[0]):
                 if sigma > 0.0 and np.isfinite(ranges[k]):
                     ranges[k] += sigma * rng.standard_normal()
                 if lost > 0.0 and rng.random() < lost:
                     ranges[k] = np.nan
-            kept = occupied_into(
-                ranges, at_rest, cos_rays, sin_rays, range_max, cell, min_cells, max_cells, grid, scratch, cells
-            )
+            kept = occupied_into(ranges, at_rest, cos_rays, sin_rays, rules, map_memory)
             for q in range(kept):
                 maps[m, cells[q] // size, cells[q] % size] = 1
-            label_robot(poses[:near], 0, poses[0, 2], law, blocking, max_speed, room, commands[m], seen[m], facts[m])
+            label_robot(poses[:near], 0, poses[0, 2], law, blocking, draws.max_speed, workspace, commands[m], seen[m])
+            features[m] = workspace.features
             m += 1
 
 
@@ -331,14 +389,11 @@ def draw_views(
     out = Views(
         np.zeros((maps, size, size), dtype=np.uint8),
         np.empty((maps, 4)),
-        np.empty((maps, SEEN, 2 + EDGE_TERMS)),
-        np.empty((maps, FEATURES)),
+        np.empty((maps, SEEN, 2 + LAW_EDGE_FEATURES)),
+        np.empty((maps, LAW_FEATURES)),
     )
     _draw_views(
-        rng, visited.positions, visited.offsets, config.placed, config.sizes, np.array(config.jitter),
-        config.distances, config.usual, ROBOMASTER_EP.body, config.noisy, config.noise, config.dropping,
-        config.dropout, config.walled, config.pillared, config.views, config.max_speed, law.constants,
-        scan_rays(scan), map_config.cell, map_config.min_cells, map_config.max_cells,
-        out.maps, out.commands, out.seen, out.facts,
+        rng, visited_states(visited), scene_draws(config), law.constants, scan_rays(scan), map_rules(scan, map_config),
+        out.maps, out.commands, out.seen, out.features,
     )  # fmt: skip
     return out

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from triform.kernels import kernel
-from triform.perception import map_workspace, occupied_into
+from triform.perception import map_rules, map_workspace, occupied_into
 from triform.simulation import Arena, Footprint
 from triform.simulation.lidar import cast_world, scan_rays
+from triform.simulation.ray_kernels import Scene
 from triform.types import FloatArray, IntArray, MapConfig, ScanConfig
 
 #: A return marks a block of 3 x 3 cells.
@@ -16,35 +17,22 @@ _CELLS_PER_RAY = 9
 
 
 @kernel
-def _sense_into(
-    poses,
-    body,
-    walls,
-    pillars,
-    scan,
-    size,
-    cell,
-    min_cells,
-    max_cells,
-    cells,
-    offsets,
-):
+def _sense_into(poses, scene, scan, size, rules, cells, offsets):
     """Fill ``cells`` and ``offsets``, as in ``Records``, from poses (B, N, 3)."""
-    _, _, range_max, cos, sin = scan
+    cos, sin = scan.cos, scan.sin
     robots, rays = poses.shape[1], cos.shape[0]
     axes = np.empty((robots, 2))
     active = np.ones(robots, dtype=np.bool_)
     ranges = np.empty((robots, rays))
-    grid, scratch, found = map_workspace(size)
+    workspace = map_workspace(size)
+    found = workspace.cells
     at_rest = np.zeros(3)
     filled = 0
     offsets[0] = 0
     for b in range(poses.shape[0]):
-        cast_world(poses[b], active, body, walls, pillars, scan, axes, ranges)
+        cast_world(poses[b], active, scene, scan, axes, ranges)
         for i in range(robots):
-            count = occupied_into(
-                ranges[i], at_rest, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, found
-            )
+            count = occupied_into(ranges[i], at_rest, cos, sin, rules, workspace)
             found[:count].sort()
             for k in range(count):
                 cells[filled + k] = found[k]
@@ -80,14 +68,10 @@ def sense(
     arena = Arena.open()
     _sense_into(
         np.ascontiguousarray(poses),
-        footprint.body,
-        arena.walls,
-        arena.pillars,
+        Scene(footprint.body, arena.walls, arena.pillars),
         scan_rays(scan),
         map_config.size,
-        float(map_config.cell),
-        map_config.min_cells,
-        map_config.max_cells,
+        map_rules(scan, map_config),
         cells,
         offsets,
     )

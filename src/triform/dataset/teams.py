@@ -12,19 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from triform.control.triangulating import TriangulatingLaw
-from triform.control.triangulating_kernels import EDGE_TERMS, FEATURES
+from triform.control.triangulating_kernels import LAW_EDGE_FEATURES, LAW_FEATURES, law_workspace
 from triform.dataset.scenes import (
     SceneConfig,
+    blocking_radius,
     draw_body,
     draw_positions,
     label_robot,
-    label_workspace,
     longest_team,
+    scene_draws,
+    visited_states,
 )
 from triform.dataset.state_buffer import StateBuffer
 from triform.kernels import kernel
 from triform.policy import RadiusGraph, hear
-from triform.simulation.profiles import ROBOMASTER_EP
 from triform.types import BoolArray, FloatArray, IntArray
 
 #: A robot of the law is the one of an edge if both lie in the same place; two sums may differ in the last bits [d*].
@@ -64,35 +65,33 @@ class TeamLabels:
 
     Attributes:
         commands: Mean velocity (x, y), turn rate (0) and amplitude of the push [d*/s, rad/s, d*/s], shape (M, 4).
-        terms: For every edge of the graph, what the sender adds to the receiver's velocity (2) [d*/s], whether it is
-            a Gabriel neighbour and whether it shares one with the receiver, shape (E, EDGE_TERMS).
-        seen: Edges whose sender the law sees, shape (E,); the others' terms are zero.
-        facts: Facts of ``triangulate``, shape (M, FEATURES).
+        edge_features: For every edge of the graph, what the sender adds to the receiver's velocity (2) [d*/s], whether
+            it is a Gabriel neighbour and whether it shares one with the receiver, shape (E, LAW_EDGE_FEATURES).
+        seen: Edges whose sender the law sees, shape (E,); the others' features are zero.
+        features: Features of ``LawWorkspace``, shape (M, LAW_FEATURES).
     """
 
     commands: FloatArray
-    terms: FloatArray
+    edge_features: FloatArray
     seen: BoolArray
-    facts: FloatArray
+    features: FloatArray
 
 
 @kernel
-def _draw_states(
-    rng, robots, visited, visited_offsets, placed, sizes, jitter, distances, usual, ep, poses, offsets, blocking
-):
-    """Fill ``poses``, ``offsets`` and ``blocking`` of ``TeamStates``; returns the number of teams.
+def _draw_states(rng, robots, visited, draws, poses, offsets, blocking):
+    """Fill ``poses``, ``offsets`` and ``blocking`` of ``TeamStates`` until they hold ``robots`` robots.
 
-    Other arguments are those of ``draw_states`` and ``SceneConfig``.
+    The states come from ``VisitedStates`` and ``SceneDraws``; returns the number of teams.
     """
-    team = np.empty((longest_team(visited_offsets, sizes), 2))
+    team = np.empty((longest_team(visited, draws), 2))
     teams = 0
     offsets[0] = 0
     while offsets[teams] < robots:
-        count = draw_positions(rng, visited, visited_offsets, placed, sizes, jitter, team)
+        count = draw_positions(rng, visited, draws, team)
         if count == 0:
             continue
-        _, body = draw_body(rng, usual, distances, ep)
-        blocking[teams] = body[0] if body[2] else (body[0] + body[1]) / 2.0
+        _, body = draw_body(rng, draws)
+        blocking[teams] = blocking_radius(body)
         first = offsets[teams]
         for k in range(count):
             poses[first + k, 0], poses[first + k, 1] = team[k, 0], team[k, 1]
@@ -103,20 +102,23 @@ def _draw_states(
 
 
 @kernel
-def _label_states(poses, offsets, blocking, law, max_speed, receivers, senders, commands, terms, seen, facts):
-    """Fill ``commands``, ``terms``, ``seen`` and ``facts`` of ``TeamLabels``; other arguments as there."""
+def _label_states(
+    poses, offsets, blocking, law, max_speed, receivers, senders, commands, edge_features, seen, features
+):
+    """Fill ``commands``, ``edge_features``, ``seen`` and ``features`` of ``TeamLabels``; other arguments as there."""
     longest = 1
     for t in range(blocking.shape[0]):
         longest = max(longest, offsets[t + 1] - offsets[t])
-    room = label_workspace(longest)
-    around = np.empty((longest, 2 + EDGE_TERMS))
+    workspace = law_workspace(longest)
+    around = np.empty((longest, 2 + LAW_EDGE_FEATURES))
     edge = 0
     for t in range(blocking.shape[0]):
         first = offsets[t]
         team = poses[first : offsets[t + 1]]
         for i in range(team.shape[0]):
             own = first + i
-            label_robot(team, i, team[i, 2], law, blocking[t], max_speed, room, commands[own], around, facts[own])
+            label_robot(team, i, team[i, 2], law, blocking[t], max_speed, workspace, commands[own], around)
+            features[own] = workspace.features
             cos, sin = np.cos(team[i, 2]), np.sin(team[i, 2])
             # Both lists name robots in growing order.
             at = 0
@@ -124,11 +126,11 @@ def _label_states(poses, offsets, blocking, law, max_speed, receivers, senders, 
                 j = senders[edge] - first
                 d_x, d_y = team[j, 0] - team[i, 0], team[j, 1] - team[i, 1]
                 x, y = cos * d_x + sin * d_y, cos * d_y - sin * d_x
-                terms[edge], seen[edge] = 0.0, False
+                edge_features[edge], seen[edge] = 0.0, False
                 for k in range(at, longest):
                     if abs(around[k, 0] - x) < _SAME_PLACE and abs(around[k, 1] - y) < _SAME_PLACE:
-                        for c in range(EDGE_TERMS):
-                            terms[edge, c] = around[k, 2 + c]
+                        for c in range(LAW_EDGE_FEATURES):
+                            edge_features[edge, c] = around[k, 2 + c]
                         seen[edge] = True
                         at = k + 1
                         break
@@ -144,13 +146,11 @@ def draw_states(rng: np.random.Generator, robots: int, config: SceneConfig, visi
         config: What varies; of the sensor and of arenas nothing is used.
         visited: States to draw from; without any, all states are random placements.
     """
-    longest = longest_team(visited.offsets, config.sizes)
+    states, draws = visited_states(visited), scene_draws(config)
+    longest = longest_team(states, draws)
     poses = np.empty((robots + longest, 3))
     offsets, blocking = np.empty(robots + 1, dtype=np.int64), np.empty(robots)
-    teams = _draw_states(
-        rng, robots, visited.positions, visited.offsets, config.placed, config.sizes, np.array(config.jitter),
-        config.distances, config.usual, ROBOMASTER_EP.body, poses, offsets, blocking,
-    )  # fmt: skip
+    teams = _draw_states(rng, robots, states, draws, poses, offsets, blocking)
     return TeamStates(poses[: offsets[teams]], offsets[: teams + 1], blocking[:teams])
 
 
@@ -165,9 +165,11 @@ def label_states(states: TeamStates, graph: RadiusGraph, law: TriangulatingLaw, 
     """
     robots, edges = len(states.poses), len(graph.receivers)
     seen: NDArray[np.bool_] = np.empty(edges, dtype=np.bool_)
-    out = TeamLabels(np.empty((robots, 4)), np.empty((edges, EDGE_TERMS)), seen, np.empty((robots, FEATURES)))
+    out = TeamLabels(
+        np.empty((robots, 4)), np.empty((edges, LAW_EDGE_FEATURES)), seen, np.empty((robots, LAW_FEATURES))
+    )
     _label_states(
         states.poses, states.offsets, states.blocking, law.constants, max_speed, graph.receivers, graph.senders,
-        out.commands, out.terms, out.seen, out.facts,
+        out.commands, out.edge_features, out.seen, out.features,
     )  # fmt: skip
     return out

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-import triform
-
 _PACKAGES = ("triform", "numba", "numpy", "onnxruntime", "pyarrow")
 
 
@@ -25,7 +23,7 @@ def identity() -> dict[str, str]:
     vectors = np.lib.introspect.opt_func_info(func_name="^sin$", signature="float64")["sin"]
     return {
         **{name: _version(name) for name in _PACKAGES},
-        "sources of triform": _sources(Path(triform.__file__).parent),
+        "sources of triform": _sources(Path(__file__).parent.parent),
         "Python": ".".join(platform.python_version_tuple()[:2]),
         "C library": " ".join(platform.libc_ver()),
         "processor": f"{platform.machine()} {next(iter(vectors.values()))['current']}",

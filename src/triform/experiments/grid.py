@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from triform import __version__
 from triform.control import ControllerSpec, control_steps
 from triform.engines import Engine, Report
 from triform.evaluation.events import Event
@@ -26,6 +25,7 @@ from triform.report.output import plain
 from triform.report.tables import format_value, read_parquet, write_parquet
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, FloatArray, IntArray, TriformError
+from triform.version import __version__
 
 #: Teams of more robots than this get so many times the duration, for they have farther to go.
 LARGE_TEAM = 13

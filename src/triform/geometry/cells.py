@@ -187,7 +187,7 @@ def find_near(world, cell, limit, stack, near):
         world: Cells.
         cell: One of the parts.
         limit: Square of the distance [m^2].
-        stack: Room, int64, shape (SEARCH_DEPTH,).
+        stack: Workspace, int64, shape (SEARCH_DEPTH,).
         near: Slots to write, int64, shape (M,).
 
     Returns:

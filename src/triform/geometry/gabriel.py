@@ -72,14 +72,14 @@ def gabriel_lists(positions, active, max_range):
         return offsets, listed[:filled, 0].copy()
     world = make_cells(positions, active)
     order, _, parts, _ = world
-    room = make_workspace(order.shape[0])
+    workspace = make_workspace(order.shape[0])
     begins = np.empty(order.shape[0], dtype=np.int64)
     ends = np.empty(order.shape[0] + 1, dtype=np.int64)
     in_cell = np.empty((64, 1), dtype=np.int64)
     for cell in range(parts.shape[0]):
         if parts[cell, 2] > 0:
             continue
-        in_cell = list_neighbours(world, cell, limit, room, in_cell, ends)
+        in_cell = list_neighbours(world, cell, limit, workspace, in_cell, ends)
         for own in range(parts[cell, 0], parts[cell, 1]):
             k = own - parts[cell, 0]
             begins[own] = filled + ends[k]

@@ -25,21 +25,21 @@ _ROUNDING = 1e-12
 
 @kernel
 def make_workspace(count):
-    """Workspace for ``list_neighbours`` among ``count`` robots."""
+    """Workspace of ``list_neighbours`` among ``count`` robots."""
     stack = np.empty(SEARCH_DEPTH, dtype=np.int64)
     near = np.empty(count, dtype=np.int64)
     return stack, near, np.empty(count), np.empty(count), np.empty(count), np.empty(count, dtype=np.int64)
 
 
 @kernel
-def list_neighbours(world, cell, limit, room, listed, ends):
+def list_neighbours(world, cell, limit, workspace, listed, ends):
     """List the Gabriel neighbours of the robots in a cell, as exactly as the definition.
 
     Args:
         world: Cells.
         cell: One of the parts that are cells.
         limit: Square of the longest edge [m^2].
-        room: What ``make_workspace`` returned.
+        workspace: What ``make_workspace`` returned.
         listed: Robots to write, int64, shape (L, 1).
         ends: Where the lists end to write: the k-th robot of the cell has the neighbours ``listed[ends[k] : ends[k +
             1]]``, in growing order; int64, shape (M + 1,).
@@ -48,7 +48,7 @@ def list_neighbours(world, cell, limit, room, listed, ends):
         ``listed``, or a longer array in its place.
     """
     robots, places, parts, boxes = world
-    stack, near, near_x, near_y, apart, found = room
+    stack, near, near_x, near_y, apart, found = workspace
     parent = parts[cell, 3]
     area = (boxes[parent, 2] - boxes[parent, 0]) * (boxes[parent, 3] - boxes[parent, 1])
     area /= max(parts[parent, 1] - parts[parent, 0], 1)

@@ -11,11 +11,13 @@ This is the only implementation; data, training and robots all call it.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import MapArray, MapConfig, Scan
+from triform.types import MapArray, MapConfig, Scan, ScanConfig
 
 # Bits of a cell of the working grid.
 _MARKED = 1
@@ -25,18 +27,55 @@ _HIT = 4
 _SCANS_PER_THREAD = 300
 
 
+class MapRules(NamedTuple):
+    """How the returns of a scan become a map.
+
+    Attributes:
+        range_max: Farther returns do not count [m].
+        cell: Side of a cell [m].
+        min_cells: Smaller groups of cells are dropped.
+        max_cells: Larger groups are dropped.
+    """
+
+    range_max: float
+    cell: float
+    min_cells: int
+    max_cells: int
+
+
+class MapWorkspace(NamedTuple):
+    """What ``occupied_into`` reads and writes for maps of H x H cells.
+
+    Attributes:
+        grid: Marks of all cells and of a closed border, uint8, shape (H + 2, H + 2); left as it was.
+        scratch: Lists of cells on that grid, int32, shape (2, H * H).
+        cells: Flat indices ``row * H + column`` of the occupied cells, int32, shape (H * H,); filled from the front, in
+            no particular order.
+    """
+
+    grid: Any
+    scratch: Any
+    cells: Any
+
+
+def map_rules(scan: ScanConfig, config: MapConfig) -> MapRules:
+    """Return how the returns of a LiDAR become a map, as kernels take it."""
+    return MapRules(float(scan.range_max), float(config.cell), config.min_cells, config.max_cells)
+
+
 @kernel
 def map_workspace(size):
-    """Make room for ``occupied_into`` and maps of ``size`` x ``size`` cells: grid, scratch and cells."""
+    """Make a ``MapWorkspace`` for maps of ``size`` x ``size`` cells."""
     # A closed border spares every look at a neighbour the question whether it is on the map.
     grid = np.full((size + 2, size + 2), _CLOSED, dtype=np.uint8)
     grid[1:-1, 1:-1] = 0
-    return grid, np.empty((2, size * size), dtype=np.int32), np.empty(size * size, dtype=np.int32)
+    return MapWorkspace(grid, np.empty((2, size * size), dtype=np.int32), np.empty(size * size, dtype=np.int32))
 
 
 @kernel
-def _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, grid, marked):
+def _dilate_returns(ranges, moved, cos, sin, rules, size, grid, marked):
     """Mark the 3 x 3 cells around every return on the flat ``grid``; list them in ``marked``; return how many."""
+    range_max, cell = rules.range_max, rules.cell
     half = size * cell / 2
     stride = size + 2
     count = 0
@@ -82,37 +121,32 @@ def _flood(grid, stride, start, queue):
 
 
 @kernel
-def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells):
-    """List the occupied cells of one scan's map.
+def occupied_into(ranges, moved, cos, sin, rules, workspace):
+    """List the occupied cells of one scan's map at the front of ``workspace.cells``.
 
     Args:
         ranges: Ranges [m], shape (R,); what is not in (0, range_max] is no return.
         moved: Pose of the robot now in its body frame at the moment of the scan [m, m, rad], shape (3,).
         cos: Cosine of every ray's angle, shape (R,).
         sin: Sine of every ray's angle, shape (R,).
-        range_max: Longest range [m].
-        cell: Side of a cell [m].
-        min_cells: Smaller groups are dropped.
-        max_cells: Larger groups are dropped.
-        grid: Working grid of ``map_workspace``, shape (H + 2, H + 2); left as it was.
-        scratch: Workspace of ``map_workspace``, int32, shape (2, H * H).
-        cells: Flat indices ``row * H + column`` of the occupied cells, int32, shape (H * H,); filled from the
-            front, in no particular order.
+        rules: ``MapRules``.
+        workspace: ``MapWorkspace``.
 
     Returns:
         The number of occupied cells.
     """
+    grid, scratch, cells = workspace
     size = grid.shape[0] - 2
     stride = size + 2
     flat = grid.reshape(stride * stride)
     marked, queue = scratch[0], scratch[1]
-    count = _dilate_returns(ranges, moved, cos, sin, range_max, cell, size, flat, marked)
+    count = _dilate_returns(ranges, moved, cos, sin, rules, size, flat, marked)
     kept = 0
     for m in range(count):
         if flat[marked[m]] & _CLOSED:
             continue
         members = _flood(flat, stride, marked[m], queue)
-        if min_cells <= members <= max_cells:
+        if rules.min_cells <= members <= rules.max_cells:
             for q in range(members):
                 # A product with the inverse is exact here and many times faster than a division.
                 row = int((queue[q] + 0.5) * (1.0 / stride))
@@ -124,12 +158,13 @@ def occupied_into(ranges, moved, cos, sin, range_max, cell, min_cells, max_cells
 
 
 @kernel
-def _maps(ranges, cos, sin, range_max, cell, min_cells, max_cells, first, last, out):
+def _maps(ranges, cos, sin, rules, first, last, out):
     size = out.shape[1]
-    grid, scratch, cells = map_workspace(size)
+    workspace = map_workspace(size)
+    cells = workspace.cells
     at_rest = np.zeros(3)
     for m in range(first, last):
-        kept = occupied_into(ranges[m], at_rest, cos, sin, range_max, cell, min_cells, max_cells, grid, scratch, cells)
+        kept = occupied_into(ranges[m], at_rest, cos, sin, rules, workspace)
         for q in range(kept):
             out[m, cells[q] // size, cells[q] % size] = 1
 
@@ -152,9 +187,9 @@ def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
     cos, sin = np.cos(angles), np.sin(angles)
     ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
     out = np.zeros((ranges.shape[0], config.size, config.size), dtype=np.uint8)
-    limits = (scan.config.range_max, config.cell, config.min_cells, config.max_cells)
+    rules = map_rules(scan.config, config)
     in_parts(
-        lambda first, last: _maps(ranges, cos, sin, *limits, first, last, out),
+        lambda first, last: _maps(ranges, cos, sin, rules, first, last, out),
         len(ranges),
         len(ranges),
         _SCANS_PER_THREAD,

@@ -97,21 +97,21 @@ def _run(folder: Path, given: PackedMaps | RadiusGraph) -> FloatArray:
     return PolicyRuntime(folder).commands(given)
 
 
-def _exported(folder: Path, spec: PolicySpec, precision: Precision, room: Path) -> dict[str, bytes]:
-    """The files of the exported policy by name; ``room`` takes files for the time."""
+def _exported(folder: Path, spec: PolicySpec, precision: Precision, scratch: Path) -> dict[str, bytes]:
+    """The files of the exported policy by name; ``scratch`` takes files for the time."""
     weights = read_weights(folder, spec)
     graph = write_graph(spec.network, weights, WEIGHTS_FILE)
     if precision == "int8":
-        graph = _quantised(graph, weights, room)
+        graph = _quantised(graph, weights, scratch)
     exported = replace(spec, onnx_sha256=sha256(graph), precision=precision)
     return {WEIGHTS_FILE: weights, ONNX_FILE: graph, SPEC_FILE: exported.to_json().encode()}
 
 
-def _quantised(graph: bytes, weights: bytes, room: Path) -> bytes:
+def _quantised(graph: bytes, weights: bytes, scratch: Path) -> bytes:
     """The graph with 8-bit linear layers."""
-    full, reduced = room / "full.onnx", room / "reduced.onnx"
+    full, reduced = scratch / "full.onnx", scratch / "reduced.onnx"
     full.write_bytes(graph)
-    (room / WEIGHTS_FILE).write_bytes(weights)
+    (scratch / WEIGHTS_FILE).write_bytes(weights)
     # The quantiser advises a preparation that changes nothing here.
     before = logging.root.manager.disable
     logging.disable(max(before, logging.WARNING))

@@ -121,7 +121,7 @@ class _Workspace(threading.local):
         self.first = np.empty(0, dtype=np.int64)
 
     def fit(self, maps: int) -> None:
-        """Have room for the order of so many maps."""
+        """Make the order long enough for so many maps."""
         if maps > len(self.order):
             self.order = np.empty(maps, dtype=np.int64)
             self.first = np.empty(maps, dtype=np.int64)
@@ -206,7 +206,7 @@ class PolicyRuntime(StoredPolicy):
                 f"{folder / ONNX_FILE} reads {name} of {found} cells and gives {outputs} numbers; its description "
                 f"says {cells} and {network.outputs}"
             )
-        self._room = _Workspace(network.patches, network.patch**2)
+        self._workspace = _Workspace(network.patches, network.patch**2)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
@@ -247,17 +247,17 @@ class PolicyRuntime(StoredPolicy):
 
     def _run_packed(self, packed: PackedMaps, network: NetworkConfig, out: FloatArray) -> None:
         """Fill ``out`` (M, outputs) with what the Vision Transformer answers."""
-        room = self._room
-        room.fit(len(out))
-        _sort_by_count(packed.counts, room.begins, room.order, room.first)
-        for count in np.flatnonzero(np.diff(room.begins)):
+        workspace = self._workspace
+        workspace.fit(len(out))
+        _sort_by_count(packed.counts, workspace.begins, workspace.order, workspace.first)
+        for count in np.flatnonzero(np.diff(workspace.begins)):
             slots = int(count) + 1
             # Graphs of 8 bits round the tokens of a call by their common range.
             at_once = 1 if self.spec.precision == "int8" else max(1, _TOKENS_AT_ONCE // slots)
-            for begin in range(room.begins[count], room.begins[count + 1], at_once):
-                some = room.order[begin : min(begin + at_once, room.begins[count + 1])]
-                tokens = room.tokens[: len(some) * slots * network.patch**2].reshape(len(some), slots, -1)
-                places = room.places[: len(some) * slots].reshape(len(some), slots)
+            for begin in range(workspace.begins[count], workspace.begins[count + 1], at_once):
+                some = workspace.order[begin : min(begin + at_once, workspace.begins[count + 1])]
+                tokens = workspace.tokens[: len(some) * slots * network.patch**2].reshape(len(some), slots, -1)
+                places = workspace.places[: len(some) * slots].reshape(len(some), slots)
                 places[:, 0] = network.patches
-                _fill_rows(packed.patches, packed.positions, room.first, some, tokens, places)
+                _fill_rows(packed.patches, packed.positions, workspace.first, some, tokens, places)
                 (out[some],) = self._session.run(["commands"], {"patches": tokens, "positions": places})

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from triform import __version__
 from triform.evaluation.metrics import RunTable, concatenate, measure
 from triform.evaluation.rollout import Trajectory
 from triform.recordings.resample import Recording, read_recordings
@@ -19,9 +18,11 @@ from triform.report.output import prepare_file, prepare_folder, write_json
 from triform.report.results import Evaluation, show_results
 from triform.report.tables import require_parquet, write_parquet
 from triform.simulation import Arena, Footprint
-from triform.simulation.world_kernels import record_contacts
+from triform.simulation.ray_kernels import Scene
+from triform.simulation.world_kernels import Contacts, record_contacts
 from triform.threads import limit_threads
 from triform.types import require
+from triform.version import __version__
 
 
 @dataclass(frozen=True)
@@ -148,10 +149,10 @@ def any_overlap(trajectory: Trajectory, footprint: Footprint) -> bool:
     """Tell whether two footprints overlap at any record of a single run; touching is no overlap."""
     poses, active = np.ascontiguousarray(trajectory.poses[0]), np.ascontiguousarray(trajectory.active[0])
     records, arena = len(poses), Arena.open()
-    closest, overlapped, hit = np.full(records, np.inf), *np.zeros((2, records), dtype=np.bool_)
+    contacts = Contacts(np.full(records, np.inf), *np.zeros((2, records), dtype=np.bool_))
     # Every record is a world of its own to the kernel.
-    record_contacts(poses, active, footprint.body, arena.walls, arena.pillars, closest, overlapped, hit, 0, records)
-    return bool(overlapped.any())
+    record_contacts(poses, active, Scene(footprint.body, arena.walls, arena.pillars), contacts, 0, records)
+    return bool(contacts.collided.any())
 
 
 def describe_recordings(config: MeasureConfig, recordings: Sequence[Recording]) -> dict[str, Any]:

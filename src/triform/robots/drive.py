@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
-from rich.console import Console
 
 from triform.control import (
     POLICY,
@@ -28,13 +27,12 @@ from triform.control import (
 )
 from triform.control.detection import detect_robots
 from triform.policy import PolicyRuntime
-from triform.robots.drive_status import Budget, StatusLine
+from triform.robots.latency import Budget
 from triform.robots.ldrobot import MODELS, LidarModel, LidarPort
 from triform.robots.real import RealRobot, Step
 from triform.robots.recorder import Recorder
 from triform.robots.robomaster import USB_ADDRESS, WIFI_ADDRESS, RoboMaster
-from triform.robots.screen import Screen
-from triform.robots.stop_signals import StopSignals
+from triform.signals import StopSignals
 from triform.simulation import Drive, Footprint, Profile, get_profile
 from triform.threads import limit_threads
 from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, require
@@ -209,19 +207,39 @@ class DriveConfig:
         return SafetyFilter(controller, SafetySettings(self.outline, reaction=reaction, **limits))
 
 
-def run_drive(config: DriveConfig, console: Console) -> None:
-    """Drive one robot, show how it does, and say at the end where the time went.
+class DriveListener(Protocol):
+    """Hears how a robot does that drives; nothing in here may raise while wheels turn."""
+
+    def say(self, sentence: str) -> None:
+        """Hear a sentence."""
+        ...
+
+    def warn(self, sentence: str) -> None:
+        """Hear a warning."""
+        ...
+
+    def driving(self) -> AbstractContextManager[Callable[[Step], None]]:
+        """Give a function that hears of every step while a block runs."""
+        ...
+
+    def ended(self, summary: dict[str, Any]) -> None:
+        """Hear at the end where the time went, as ``Budget.summary`` has it."""
+        ...
+
+
+def run_drive(config: DriveConfig, listener: DriveListener) -> None:
+    """Drive one robot, tell how it does, and at the end where the time went.
 
     Args:
         config: What to drive, and how.
-        console: Where to show the status line and the latencies.
+        listener: Hears of the steps and the latencies.
 
     Raises:
         TriformError: The controller cannot be used, the LiDAR or the base is not there or is lost, or the folder of the
             recording cannot be used. The wheels are stopped.
         SystemExit: A signal ended the run, and all is stopped, shown and written.
     """
-    budget, screen = Budget(), Screen(console)
+    budget = Budget()
     controller = config.make_controller(budget.clock)
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if config.seed is None else config.seed
 
@@ -234,20 +252,12 @@ def run_drive(config: DriveConfig, console: Console) -> None:
         signals = stack.enter_context(StopSignals())
         recorder = None
         if config.record is not None:
-            recorder = Recorder(config.record, config.scan.rays, config.robot, config.start_pose, screen.warn)
+            recorder = Recorder(config.record, config.scan.rays, config.robot, config.start_pose, listener.warn)
         wheels = "no wheels (dry run)"
         if base is not None:
             battery = "unknown" if base.battery is None else f"{base.battery} %"
             wheels = f"the base at {config.base_address} (battery {battery})"
-        screen.print(f"{config.controller.label} drives {wheels} by the LiDAR at {config.lidar}")
-        line = StatusLine(screen, config.outline, config.dry_run)
-
-        def tell(step: Step) -> None:
-            budget.add(step)
-            line.show(step)
-            if recorder is not None:
-                recorder.add(step)
-
+        listener.say(f"{config.controller.label} drives {wheels} by the LiDAR at {config.lidar}")
         facts = {
             "settings": asdict(config) | {"seed": seed},
             "controller": controller.description,
@@ -255,7 +265,14 @@ def run_drive(config: DriveConfig, console: Console) -> None:
         }
         ended = "its time is over"
         try:
-            with line, _stopping(base):
+            with listener.driving() as show, _stopping(base):
+
+                def tell(step: Step) -> None:
+                    budget.add(step)
+                    show(step)
+                    if recorder is not None:
+                        recorder.add(step)
+
                 robot = RealRobot(
                     lidar,
                     base,
@@ -264,7 +281,7 @@ def run_drive(config: DriveConfig, console: Console) -> None:
                     config.limits,
                     odometry=config.odometry,
                     on_sent=tell,
-                    warn=screen.warn,
+                    warn=listener.warn,
                 )
                 drive(robot, controller, config.duration or math.inf, lambda *_: signals.check())
         except BaseException as error:
@@ -273,8 +290,8 @@ def run_drive(config: DriveConfig, console: Console) -> None:
         finally:
             if recorder is not None:
                 recorder.finish({**facts, "ended": ended, "latency": budget.summary()})
-                screen.print(f"recorded in {config.record}")
-            budget.print(screen)
+                listener.say(f"recorded in {config.record}")
+            listener.ended(budget.summary())
 
 
 @contextmanager

@@ -6,8 +6,10 @@ To ``triform drive`` an emulated robot is a serial port and an address, byte for
 from __future__ import annotations
 
 import math
+import shlex
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from ipaddress import AddressValueError, IPv4Address
@@ -15,14 +17,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from rich.console import Console
 
 from triform.robots.ldrobot import MODELS, LidarEmulator, LidarModel
 from triform.robots.recorder import POSE_COLUMNS, CsvLog
 from triform.robots.robomaster import RoboMasterEmulator
-from triform.robots.screen import Screen
-from triform.robots.stop_signals import StopSignals
+from triform.signals import StopSignals
 from triform.simulation import (
+    HARDWARE,
     Arena,
     LidarConfig,
     Profile,
@@ -52,7 +53,8 @@ class EmulateConfig:
         robots: Number of robots.
         seed: The start is a function of team size, seed and index alone.
         index: Which start: run ``index`` of an evaluation with the same team size and seed.
-        profile: Robot profile: a name or a TOML file; the LiDAR's scan is that of its model.
+        profile: Robot profile, whose footprint, drive and errors of the LiDAR hold: a name or a TOML file. If omitted,
+            hardware with the noise of the LiDAR's model. Rays and turns are those of the model in any case.
         arena: Arena: a name or a TOML file.
         distance: Prescribed neighbour distance d* [m]; starts grow with it.
         lidar_model: Kind of LiDAR: ld19, ld20 or ld14p.
@@ -67,7 +69,7 @@ class EmulateConfig:
     robots: int = 4
     seed: int = 7
     index: int = 0
-    profile: str = "hardware"
+    profile: str | None = None
     arena: str = "open"
     distance: float = 1.0
     lidar_model: Literal["ld19", "ld20", "ld14p"] = "ld20"
@@ -109,7 +111,9 @@ class EmulateConfig:
     @property
     def kind(self) -> Profile:
         """The robots."""
-        return get_profile(self.profile)
+        if self.profile is not None:
+            return get_profile(self.profile)
+        return replace(HARDWARE, lidar=replace(HARDWARE.lidar, noise=self.model.noise))
 
     @property
     def surroundings(self) -> Arena:
@@ -144,7 +148,7 @@ class Emulation:
         model = config.model
         poses = config.draw_start()[None]
         self._profile = config.kind
-        self._noise = replace(self._profile.lidar, scan=model.scan_config(), noise=model.noise)
+        self._noise = replace(self._profile.lidar, scan=model.scan_config())
         # The world only moves the robots; its own LiDAR has a single ray, and hardly ever turns.
         blind = LidarConfig(ScanConfig(rays=1), period=1e6)
         self._world = World(poses, replace(self._profile, lidar=blind, time_step=STEP), config.surroundings)
@@ -209,34 +213,36 @@ class Emulation:
 def drive_command(config: EmulateConfig, emulation: Emulation, robot: int) -> str:
     """Return the command line that drives a robot."""
     x, y, heading = emulation.poses[robot]
+    profile = "" if config.profile is None else f"--profile {shlex.quote(config.profile)} "
     return (
         f"triform drive --lidar {emulation.lidars[robot].path} --lidar-model {config.lidar_model} "
         f"--address {config.base_address(robot)} --local-address {config.driver_address(robot)} "
-        f"--distance {config.distance:g} --seed {robot} --robot {robot} --start-pose {x:.4f} {y:.4f} {heading:.4f}"
+        f"{profile}--distance {config.distance:g} --seed {robot} --robot {robot} "
+        f"--start-pose {x:.4f} {y:.4f} {heading:.4f}"
     )
 
 
-def run_emulate(config: EmulateConfig, console: Console) -> None:
+def run_emulate(config: EmulateConfig, say: Callable[[str], object], warn: Callable[[str], None]) -> None:
     """Emulate robots in real time.
 
     Args:
         config: Which robots, and for how long.
-        console: Where to show how to drive them and, at the end, how well the clock was kept.
+        say: Called with how to drive them and, at the end, how well the clock was kept.
+        warn: Called with a sentence if the recording cannot go on.
 
     Raises:
         TriformError: There is no such arena, a port cannot be opened, or the recording cannot be begun.
         SystemExit: A signal ended the run.
     """
-    screen = Screen(console)
     with closing(Emulation(config)) as emulation, ExitStack() as stack:
         # The first steps load compiled kernels, which takes longer than any LiDAR is silent.
         while emulation.time <= config.latency + STEP:
             emulation.step()
         log = None
         if config.record is not None:
-            log = stack.enter_context(closing(CsvLog(config.record, POSE_COLUMNS, screen.warn)))
+            log = stack.enter_context(closing(CsvLog(config.record, POSE_COLUMNS, warn)))
         for robot in range(config.robots):
-            screen.print(drive_command(config, emulation, robot))
+            say(drive_command(config, emulation, robot))
         duration = config.duration or math.inf
         longest_behind, steps, began = 0.0, 0, time.monotonic() - emulation.time
         try:
@@ -254,7 +260,7 @@ def run_emulate(config: EmulateConfig, console: Console) -> None:
         finally:
             took = time.monotonic() - began
             factor = emulation.time / took
-            screen.print(
+            say(
                 f"{emulation.time:.1f} s emulated in {took:.1f} s, at most {1000 * longest_behind:.0f} ms behind: "
                 f"real-time factor {factor:.3f}"
             )

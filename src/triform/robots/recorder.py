@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import onnxruntime
 
-from triform import __version__
 from triform.files import cannot_write, make_folder, write_atomically
 from triform.geometry.frames import body_to_world, wrap_angle
 from triform.robots.real import Step, Turn
 from triform.simulation.odometry import relative_poses
 from triform.types import FloatArray, TriformError
+from triform.version import __version__
 
 STEPS_FILE, SCANS_FILE, DRIVE_FILE = "steps.csv", "scans.csv", "drive.json"
 #: Columns of a recording of poses; x, y and heading are in one frame for all robots [s, 1, m, m, rad].

@@ -1,8 +1,4 @@
-"""Compiled scans of whole teams at one instant: who looks at whom.
-
-Kernels take the *body* of all robots, (half length, half width, whether it is a circle) [m], and the *scan*: (angle of
-the first ray [rad], range_min [m], range_max [m], cosine and sine of every ray's angle in the robot's frame).
-"""
+"""Compiled scans of whole teams at one instant: who looks at whom, in a ``Scene``, along ``ScanRays``."""
 
 from __future__ import annotations
 
@@ -116,13 +112,12 @@ def find_axes(poses: Any, axes: Any) -> None:
 
 
 @kernel
-def cast_robot(
-    i: int, poses: Any, active: Any, body: Any, walls: Any, pillars: Any, scan: Any, axes: Any, row: Any
-) -> None:
+def cast_robot(i: int, poses: Any, active: Any, scene: Any, scan: Any, axes: Any, row: Any) -> None:
     """Cast the instantaneous, noiseless scan of robot i into ``row``, shape (R,); arguments as ``cast_world``.
 
     ``axes`` must be those of ``find_axes``.
     """
+    body, walls, pillars = scene
     half_length, half_width, is_circle = body
     angle_min, range_min, range_max, cos_rays, sin_rays = scan
     limit = (range_max + body_reach(body)) ** 2
@@ -138,45 +133,34 @@ def cast_robot(
 
 
 @kernel
-def cast_world(poses: Any, active: Any, body: Any, walls: Any, pillars: Any, scan: Any, axes: Any, out: Any) -> None:
+def cast_world(poses: Any, active: Any, scene: Any, scan: Any, axes: Any, out: Any) -> None:
     """Cast the instantaneous, noiseless scans of one small team by looking at everybody; allocates nothing.
 
     Args:
         poses: World-frame poses, shape (N, 3) [m, m, rad]; rows of inactive robots are not used.
         active: Which robots exist, shape (N,).
-        body: (half length, half width, whether it is a circle) of all robots [m]; a circle's radius is its half length.
-        walls: Segments x1, y1, x2, y2, shape (W, 4) [m].
-        pillars: Circles x, y, radius, shape (K, 3) [m].
-        scan: (angle of the first ray, range_min, range_max, cosines, sines), see the module.
-        axes: Room, shape (N, 2).
+        scene: ``Scene``: the robots' body, walls and pillars.
+        scan: ``ScanRays``: the LiDAR of every robot.
+        axes: Workspace, shape (N, 2).
         out: Ranges, shape (N, R), overwritten [m]; ``+inf`` for inactive robots. Any floating type.
     """
     find_axes(poses, axes)
     for i in range(active.shape[0]):
         if active[i]:
-            cast_robot(i, poses, active, body, walls, pillars, scan, axes, out[i])
+            cast_robot(i, poses, active, scene, scan, axes, out[i])
         else:
             out[i] = math.inf
 
 
 @kernel
-def cast_cells(
-    world: Any,
-    cells: Any,
-    poses: Any,
-    axes: Any,
-    body: Any,
-    walls: Any,
-    pillars: Any,
-    scan: Any,
-    out: Any,
-) -> None:
+def cast_cells(world: Any, cells: Any, poses: Any, axes: Any, scene: Any, scan: Any, out: Any) -> None:
     """``cast_world`` for the robots in some ``cells`` of a world.
 
     Poses and axes come in the order of the slots, shapes (M, 3) and (M, 2), and ``out`` is in that of the robots: who
     is near in space is then near in memory, which counts where a team outgrows the caches.
     """
     robots, _, parts, _ = world
+    body, walls, pillars = scene
     half_length, half_width, is_circle = body
     angle_min, range_min, range_max, cos_rays, sin_rays = scan
     limit = (range_max + body_reach(body)) ** 2
@@ -212,18 +196,16 @@ def sort_poses(world: Any, poses: Any) -> tuple[Any, Any]:
 
 
 @kernel
-def cast_worlds(
-    poses: Any, active: Any, body: Any, walls: Any, pillars: Any, scan: Any, out: Any, first: int, last: int
-) -> None:
+def cast_worlds(poses: Any, active: Any, scene: Any, scan: Any, out: Any, first: int, last: int) -> None:
     """``cast_world`` for the worlds ``first <= b < last``: every per-robot array gains a leading axis B."""
     axes = np.empty((poses.shape[1], 2))
     for b in range(first, last):
         if poses.shape[1] <= SMALL_TEAM:
-            cast_world(poses[b], active[b], body, walls, pillars, scan, axes, out[b])
+            cast_world(poses[b], active[b], scene, scan, axes, out[b])
             continue
         for i in range(active.shape[1]):
             if not active[b, i]:
                 out[b, i] = math.inf
         world = make_cells(poses[b], active[b])
         in_slots, slot_axes = sort_poses(world, poses[b])
-        cast_cells(world, list_cells(world), in_slots, slot_axes, body, walls, pillars, scan, out[b])
+        cast_cells(world, list_cells(world), in_slots, slot_axes, scene, scan, out[b])

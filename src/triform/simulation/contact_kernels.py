@@ -1,7 +1,4 @@
-"""Compiled overlap tests between footprints, walls and pillars. Touching is no overlap.
-
-The body of all robots is (half length, half width, whether it is a circle) [m].
-"""
+"""Compiled overlap tests between footprints, walls and pillars. Touching is no overlap."""
 
 from __future__ import annotations
 
@@ -93,14 +90,9 @@ def wall_overlaps(poses: Any, i: int, walls: Any, w: int, body: Any) -> bool:
 
 
 @kernel
-def any_hits_arena(
-    poses: Any,
-    active: Any,
-    body: Any,
-    walls: Any,
-    pillars: Any,
-) -> bool:
-    """Whether any active footprint of one world overlaps a wall or pillar; poses of shape (N, 3)."""
+def any_hits_arena(poses: Any, active: Any, scene: Any) -> bool:
+    """Whether any active footprint of one world overlaps a wall or pillar of ``Scene``; poses of shape (N, 3)."""
+    body, walls, pillars = scene
     for i in range(poses.shape[0]):
         if not active[i]:
             continue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -13,6 +12,7 @@ from triform.simulation.arena import Arena
 from triform.simulation.cast_kernels import cast_cells, cast_world, cast_worlds, sort_poses
 from triform.simulation.moving_ray_kernels import cast_moving_worlds
 from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
+from triform.simulation.ray_kernels import ScanRays, Scene
 from triform.threads import in_parts, usable_threads
 from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig
 
@@ -34,10 +34,11 @@ def _check_batch(poses: FloatArray, active: BoolArray) -> None:
 
 
 @functools.lru_cache(maxsize=16)
-def scan_rays(config: ScanConfig) -> tuple[float, float, float, FloatArray, FloatArray]:
-    """Return a scan as the kernels take it: first angle, range_min, range_max, and every ray's cosine and sine."""
+def scan_rays(config: ScanConfig) -> ScanRays:
+    """Return the rays of a scan as the kernels take them."""
     angles = config.angles
-    return float(config.angle_min), float(config.range_min), float(config.range_max), np.cos(angles), np.sin(angles)
+    limits = (float(config.angle_min), float(config.range_min), float(config.range_max))
+    return ScanRays(*limits, np.cos(angles), np.sin(angles))
 
 
 def cast_scans(
@@ -73,26 +74,26 @@ def cast_scans(
     worlds, robots = active.shape
     ranges = np.empty((worlds, robots, config.rays), dtype)
     places, mask = np.ascontiguousarray(poses, dtype=np.float64), np.ascontiguousarray(active)
-    scene = (footprint.body, arena.walls, arena.pillars, scan_rays(config))
+    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config)
     if robots <= SMALL_TEAM or worlds >= usable_threads():
         in_parts(
-            lambda first, last: cast_worlds(places, mask, *scene, ranges, first, last),
+            lambda first, last: cast_worlds(places, mask, scene, rays, ranges, first, last),
             worlds, ranges.size, RAYS_PER_THREAD,
         )  # fmt: skip
         return ranges
     for b in range(worlds):
-        _cast_large(places[b], mask[b], scene, ranges[b])
+        _cast_large(places[b], mask[b], scene, rays, ranges[b])
     return ranges
 
 
-def _cast_large(poses: FloatArray, active: BoolArray, scene: tuple[Any, ...], ranges: RangeArray) -> None:
+def _cast_large(poses: FloatArray, active: BoolArray, scene: Scene, rays: ScanRays, ranges: RangeArray) -> None:
     """Cast the scans of one world, its cells shared out over the threads."""
     ranges[~active] = np.inf
     world = make_cells(poses, active)
     cells = list_cells(world)
     in_slots, axes = sort_poses(world, poses)
     in_parts(
-        lambda first, last: cast_cells(world, cells[first:last], in_slots, axes, *scene, ranges),
+        lambda first, last: cast_cells(world, cells[first:last], in_slots, axes, scene, rays, ranges),
         len(cells), ranges.size, RAYS_PER_THREAD,
     )  # fmt: skip
 
@@ -136,9 +137,13 @@ def cast_rolling(
     ranges = np.full(shape, np.inf, dtype)
     share_step = 0.0 if start is end else 1.0 / config.rays
     ends = [np.ascontiguousarray(poses, dtype=np.float64) for poses in (start, end)]
-    scene = (np.ascontiguousarray(active), footprint.body, arena.walls, arena.pillars, scan_rays(config)[:3])
+    mask, scene, rays = (
+        np.ascontiguousarray(active),
+        Scene(footprint.body, arena.walls, arena.pillars),
+        scan_rays(config),
+    )
     in_parts(
-        lambda first, last: cast_moving_worlds(*ends, *scene, errors, share_step, ranges, first, last),
+        lambda first, last: cast_moving_worlds(*ends, mask, scene, rays, errors, share_step, ranges, first, last),
         len(ranges), ranges.size, MOVING_RAYS_PER_THREAD,
     )  # fmt: skip
     return ranges

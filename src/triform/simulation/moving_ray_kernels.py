@@ -1,19 +1,35 @@
 """Compiled ray casting ray by ray, for rays at perturbed angles or at different moments.
 
-Equations and conventions are those of ``_ray_kernels``, which is some 20 times faster where all rays are evenly
+Equations and conventions are those of ``ray_kernels``, which is some 20 times faster where all rays are evenly
 spaced and measured at once.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from triform.geometry.cells import pairs_within
 from triform.kernels import kernel
 from triform.simulation.ray_kernels import body_reach
+
+
+class DueRays(NamedTuple):
+    """Rays that are cast one after the other while robots move.
+
+    Attributes:
+        first: First ray to cast.
+        last: One past the last ray to cast.
+        first_share: Share of the way at which the first ray is cast.
+        share_step: Share of the way between two rays; 0 casts all at one moment.
+    """
+
+    first: int
+    last: int
+    first_share: float
+    share_step: float
 
 
 @kernel
@@ -126,42 +142,34 @@ def cast_moving(
     end: Any,
     active: Any,
     near: Any,
-    body: Any,
-    walls: Any,
-    pillars: Any,
+    scene: Any,
     scan: Any,
     offsets: Any,
-    first_ray: int,
-    last_ray: int,
-    first_share: float,
-    share_step: float,
+    due: Any,
     out: Any,
 ) -> None:
-    """Cast rays ``first_ray <= k < last_ray`` of one world while its robots move from ``start`` to ``end``.
+    """Cast rays ``due.first <= k < due.last`` of one world while its robots move from ``start`` to ``end``.
 
-    Ray k is cast with every pose at the share ``first_share + (k - first_ray) * share_step`` of the way
-    (positions linear, headings along the shorter turn), at the angle of ray k plus ``offsets[i, k]``.
+    Ray k is cast with every pose at the share ``first_share + (k - first) * share_step`` of the way (positions linear,
+    headings along the shorter turn), at the angle of ray k plus ``offsets[i, k]``.
 
     Args:
         start: Poses at share 0, shape (N, 3) [m, m, rad].
         end: Poses at share 1, shape (N, 3) [m, m, rad].
-        active: As in ``cast_world``, like the body and the arena.
+        active: Which robots exist, shape (N,).
         near: Whom each robot may see, as ``list_near`` returns it.
-        body: See ``cast_world``.
-        walls: See ``cast_world``.
-        pillars: See ``cast_world``.
-        scan: (angle of the first ray [rad], range_min [m], range_max [m]).
+        scene: ``Scene``.
+        scan: ``ScanRays``.
         offsets: Error of every ray's angle, shape (N, R) [rad], or (N, 0) for none.
-        first_ray: First ray to cast.
-        last_ray: One past the last ray to cast.
-        first_share: Share of the way at which the first ray is cast.
-        share_step: Share of the way between two rays; 0 casts all at one moment.
+        due: ``DueRays``.
         out: Ranges, shape (N, R); only the rays cast and only active robots are written [m].
     """
     robots = start.shape[0]
     increment = 2 * math.pi / out.shape[1]
     places = np.empty((robots, 5))
-    angle_min, range_min, range_max = scan
+    body, walls, pillars = scene
+    angle_min, range_min, range_max = scan.angle_min, scan.range_min, scan.range_max
+    first_ray, last_ray, first_share, share_step = due
     ends, others = near
     around = body_reach(body)
     for k in range(first_ray, last_ray):
@@ -195,9 +203,7 @@ def cast_moving_worlds(
     start: Any,
     end: Any,
     active: Any,
-    body: Any,
-    walls: Any,
-    pillars: Any,
+    scene: Any,
     scan: Any,
     offsets: Any,
     share_step: float,
@@ -211,14 +217,12 @@ def cast_moving_worlds(
         for i in range(active.shape[1]):
             if active[b, i]:
                 travel = max(travel, math.hypot(end[b, i, 0] - start[b, i, 0], end[b, i, 1] - start[b, i, 1]))
-        near = list_near(start[b], active[b], seen_within(body, scan, travel))
-        cast_moving(
-            start[b], end[b], active[b], near, body, walls, pillars, scan, offsets[b], 0, out.shape[2], 0.0,
-            share_step, out[b],
-        )  # fmt: skip
+        near = list_near(start[b], active[b], seen_within(scene.body, scan, travel))
+        due = DueRays(0, out.shape[2], 0.0, share_step)
+        cast_moving(start[b], end[b], active[b], near, scene, scan, offsets[b], due, out[b])
 
 
 @kernel
 def seen_within(body: Any, scan: Any, travel: float) -> float:
     """Distance of two centres [m] beyond which robots cannot see each other before both have gone ``travel`` [m]."""
-    return float((scan[2] + body_reach(body) + 2 * travel) * (1 + 1e-9))
+    return float((scan.range_max + body_reach(body) + 2 * travel) * (1 + 1e-9))

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from triform.types import ConfigurationError, FloatArray, ScanConfig, choose, nearest, require
+from triform.types import Body, ConfigurationError, FloatArray, ScanConfig, choose, nearest, require
 
 
 def _is_positive(value: float) -> bool:
@@ -101,9 +101,9 @@ class Footprint:
         return self.length if self.is_circle else (self.length, self.width)
 
     @property
-    def body(self) -> tuple[float, float, bool]:
-        """The outline as the kernels take it: half length, half width [m] and whether it is a circle."""
-        return float(self.half_length), float(self.half_width), self.is_circle
+    def body(self) -> Body:
+        """The outline as kernels take it."""
+        return Body(float(self.half_length), float(self.half_width), self.is_circle)
 
     @property
     def circumradius(self) -> float:

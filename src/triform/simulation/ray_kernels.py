@@ -10,31 +10,64 @@ and reports the nearest ``t``. Boxes and circles are solid: a ray that starts in
 segments without thickness, seen from both sides; one seen exactly end-on is not seen.
 
 Obstacles come in the observer's frame, where the rays' directions are the same for everybody, and each is compared with
-the rays of its angular interval. ``_moving_ray_kernels`` holds the other way, ray by ray.
+the rays of its angular interval. ``moving_ray_kernels`` holds the other way, ray by ray.
 
-All take the members of the scan (see ``_cast_kernels``) one by one, because tuples of arrays are slow to pass.
+Inner loops take the members of ``ScanRays`` one by one, because tuples of arrays are slow to pass.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from triform.kernels import kernel
+from triform.types import Body
 
 #: A visible edge spans less than half a turn; more than this share of the turn is an edge-on edge whose
 #: two bearings changed places by rounding.
 _EDGE_ON = 0.75
 
 
+class Scene(NamedTuple):
+    """What rays meet and robots run into.
+
+    Attributes:
+        body: Outline of all robots.
+        walls: Segments x1, y1, x2, y2, shape (W, 4) [m].
+        pillars: Circles x, y, radius, shape (K, 3) [m].
+    """
+
+    body: Body
+    walls: Any
+    pillars: Any
+
+
+class ScanRays(NamedTuple):
+    """The rays of a LiDAR and its limits of range.
+
+    Attributes:
+        angle_min: Angle of the first ray in the robot's frame [rad].
+        range_min: Nearer returns are ``-inf`` [m].
+        range_max: Farther returns are ``+inf`` [m].
+        cos: Cosine of every ray's angle, shape (R,).
+        sin: Sine of every ray's angle, shape (R,).
+    """
+
+    angle_min: float
+    range_min: float
+    range_max: float
+    cos: Any
+    sin: Any
+
+
 @kernel
 def body_reach(body: Any) -> float:
     """Largest distance of a point of a robot from its centre [m]."""
-    if body[2]:
-        return float(body[0])
-    return math.hypot(body[0], body[1])
+    if body.is_circle:
+        return float(body.half_length)
+    return math.hypot(body.half_length, body.half_width)
 
 
 @kernel

@@ -12,9 +12,10 @@ from triform.simulation.arena import Arena, get_arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
 from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, scan_rays
 from triform.simulation.profiles import Profile, get_profile
+from triform.simulation.ray_kernels import Scene
 from triform.simulation.sensors import SensorSuite, padded
 from triform.simulation.spawning import sample_starts, world_seeds
-from triform.simulation.world_kernels import advance_worlds, record_contacts
+from triform.simulation.world_kernels import Contacts, LidarTurn, Motion, advance_worlds, record_contacts
 from triform.threads import in_parts
 from triform.types import (
     SENSING_RANGE,
@@ -229,11 +230,18 @@ class World:
         if not 0 <= world < len(self._active):
             raise TriformError(f"there is no world {world}; worlds are 0 to {len(self._active) - 1}")
 
+    @property
+    def _scene(self) -> Scene:
+        return Scene(self._profile.footprint.body, self._arena.walls, self._arena.pillars)
+
+    @property
+    def _contacts(self) -> Contacts:
+        return Contacts(self._min_distance, self._collided, self._hit_arena)
+
     def _record(self) -> None:
-        scene = (self._profile.footprint.body, self._arena.walls, self._arena.pillars)
-        records = (self._min_distance, self._collided, self._hit_arena)
+        scene, contacts = self._scene, self._contacts
         in_parts(
-            lambda first, last: record_contacts(self._poses, self._active, *scene, *records, first, last),
+            lambda first, last: record_contacts(self._poses, self._active, scene, contacts, first, last),
             len(self._active), self._active.size, RECORDS_PER_THREAD,
         )  # fmt: skip
 
@@ -246,13 +254,12 @@ class World:
         bounds = self._senses.rays_due(self._time, substeps, step, turn_ends)
         # Driving a robot for a step takes about as long as casting two rays.
         rays = self._active.size * (2 * substeps + int(bounds[-1] - bounds[0]))
-        motion = (self._poses, self._velocities, targets, self._active, drive_limits(self._profile.drive), step)
-        scene = (self._profile.footprint.body, self._arena.walls, self._arena.pillars)
-        records = (self._min_distance, self._collided, self._hit_arena)
-        timing = (bounds, elapsed, lidar.period / lidar.scan.rays)
-        turn = (scan_rays(lidar.scan)[:3], self._senses.offsets, self._senses.ranges)
+        scene, contacts = self._scene, self._contacts
+        motion = Motion(self._poses, self._velocities, targets, self._active, drive_limits(self._profile.drive), step)
+        ray_period = lidar.period / lidar.scan.rays
+        turn = LidarTurn(bounds, elapsed, ray_period, scan_rays(lidar.scan), self._senses.offsets, self._senses.ranges)
         in_parts(
-            lambda first, last: advance_worlds(*motion, *scene, *records, *timing, *turn, first, last),
+            lambda first, last: advance_worlds(motion, scene, contacts, turn, first, last),
             len(self._active), rays, MOVING_RAYS_PER_THREAD,
         )  # fmt: skip
 

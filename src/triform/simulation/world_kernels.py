@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,8 +11,63 @@ from triform.geometry.cells import pairs_within, smallest_distance_of, squared_d
 from triform.kernels import kernel
 from triform.simulation.contact_kernels import any_hits_arena, robots_overlap
 from triform.simulation.drive_kernels import drive_team
-from triform.simulation.moving_ray_kernels import cast_moving, list_near, seen_within
-from triform.simulation.ray_kernels import body_reach
+from triform.simulation.moving_ray_kernels import DueRays, cast_moving, list_near, seen_within
+from triform.simulation.ray_kernels import ScanRays, body_reach
+
+
+class Motion(NamedTuple):
+    """How the robots of all worlds move.
+
+    Attributes:
+        poses: World-frame poses, shape (B, N, 3) [m, m, rad].
+        velocities: Actual body twists, shape (B, N, 3) [m/s, m/s, rad/s].
+        targets: Limited commands, shape (B, N, 3) [m/s, m/s, rad/s].
+        active: Which robots exist, shape (B, N).
+        limits: Of the drive, see ``drive_team``.
+        step: Length of one integration step [s].
+    """
+
+    poses: Any
+    velocities: Any
+    targets: Any
+    active: Any
+    limits: Any
+    step: float
+
+
+class Contacts(NamedTuple):
+    """What has come of the robots' closeness so far.
+
+    Attributes:
+        min_distance: Smallest distance between two centres, shape (B,) [m].
+        collided: Whether two footprints have overlapped, shape (B,).
+        hit_arena: Whether a footprint has overlapped a wall or pillar, shape (B,).
+    """
+
+    min_distance: Any
+    collided: Any
+    hit_arena: Any
+
+
+class LidarTurn(NamedTuple):
+    """The turn that the LiDARs of all worlds are measuring.
+
+    Attributes:
+        ray_bounds: Integration step s measures the rays from ``ray_bounds[s]`` up to ``ray_bounds[s + 1]``, shape
+            (S + 1,).
+        elapsed: Time since ray 0 of this turn, when the first step begins [s].
+        ray_period: Time between two rays [s].
+        scan: Rays and limits of range.
+        offsets: Errors of the rays' angles, shape (B, N, R) [rad], or (B, N, 0) for none.
+        ranges: The turn, shape (B, N, R) [m].
+    """
+
+    ray_bounds: Any
+    elapsed: float
+    ray_period: float
+    scan: ScanRays
+    offsets: Any
+    ranges: Any
 
 
 @kernel
@@ -30,26 +85,17 @@ def _record_pairs(poses: Any, pairs: Any, body: Any, min_distance: float, collid
 
 
 @kernel
-def record_contacts(
-    poses: Any,
-    active: Any,
-    body: Any,
-    walls: Any,
-    pillars: Any,
-    min_distance: Any,
-    collided: Any,
-    hit_arena: Any,
-    first: int,
-    last: int,
-) -> None:
-    """Fold the present poses of the worlds ``first <= b < last`` into their records of distance and overlap."""
+def record_contacts(poses: Any, active: Any, scene: Any, contacts: Any, first: int, last: int) -> None:
+    """Fold the present poses (B, N, 3) of the worlds ``first <= b < last`` into their ``Contacts``."""
+    body = scene.body
+    min_distance, collided, hit_arena = contacts
     for b in range(first, last):
         min_distance[b] = min(min_distance[b], smallest_distance_of(poses[b], active[b]))
         if not collided[b]:
             pairs = pairs_within(poses[b], active[b], 4 * body_reach(body) ** 2)
             _, collided[b] = _record_pairs(poses[b], pairs, body, math.inf, False)
         if not hit_arena[b]:
-            hit_arena[b] = any_hits_arena(poses[b], active[b], body, walls, pillars)
+            hit_arena[b] = any_hits_arena(poses[b], active[b], scene)
 
 
 @kernel
@@ -72,127 +118,46 @@ def _close_pairs(poses: Any, active: Any, body: Any, min_distance: float, collid
 
 
 @kernel
-def _advance_world(
-    poses: Any,
-    velocities: Any,
-    targets: Any,
-    active: Any,
-    limits: Any,
-    step: float,
-    body: Any,
-    walls: Any,
-    pillars: Any,
-    records: Any,
-    ray_bounds: Any,
-    elapsed: float,
-    ray_period: float,
-    scan: Any,
-    offsets: Any,
-    ranges: Any,
-) -> tuple[float, bool, bool]:
-    """Advance one world, see ``advance_worlds``; return its records: smallest distance, overlap, arena hit."""
-    min_distance, collided, hit_arena = records
+def _advance_world(b: int, motion: Any, scene: Any, contacts: Any, turn: Any) -> None:
+    """Advance world b, see ``advance_worlds``."""
+    poses, velocities, targets, active = motion.poses[b], motion.velocities[b], motion.targets[b], motion.active[b]
+    min_distance, collided, hit_arena = contacts.min_distance[b], contacts.collided[b], contacts.hit_arena[b]
+    body, step, ray_bounds = scene.body, motion.step, turn.ray_bounds
     steps = ray_bounds.shape[0] - 1
     travel = _longest_travel(velocities, targets, active, steps * step)
     pairs = _close_pairs(poses, active, body, min_distance, collided, travel)
     casts = ray_bounds[steps] > ray_bounds[0]
     near = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
     if casts:
-        near = list_near(poses, active, seen_within(body, scan, travel))
+        near = list_near(poses, active, seen_within(body, turn.scan, travel))
     before = np.empty_like(poses)
     for s in range(steps):
         if casts:
             before[:] = poses
-        drive_team(poses, velocities, targets, active, limits, step)
+        drive_team(poses, velocities, targets, active, motion.limits, step)
         min_distance, collided = _record_pairs(poses, pairs, body, min_distance, collided)
         if not hit_arena:
-            hit_arena = any_hits_arena(poses, active, body, walls, pillars)
+            hit_arena = any_hits_arena(poses, active, scene)
         if ray_bounds[s + 1] > ray_bounds[s]:
-            cast_moving(
-                before,
-                poses,
-                active,
-                near,
-                body,
-                walls,
-                pillars,
-                scan,
-                offsets,
-                ray_bounds[s],
-                ray_bounds[s + 1],
-                (ray_bounds[s] * ray_period - (elapsed + s * step)) / step,
-                ray_period / step,
-                ranges,
-            )
-    return min_distance, collided, hit_arena
+            first_share = (ray_bounds[s] * turn.ray_period - (turn.elapsed + s * step)) / step
+            due = DueRays(ray_bounds[s], ray_bounds[s + 1], first_share, turn.ray_period / step)
+            cast_moving(before, poses, active, near, scene, turn.scan, turn.offsets[b], due, turn.ranges[b])
+    contacts.min_distance[b], contacts.collided[b], contacts.hit_arena[b] = min_distance, collided, hit_arena
 
 
 @kernel
-def advance_worlds(
-    poses: Any,
-    velocities: Any,
-    targets: Any,
-    active: Any,
-    limits: Any,
-    step: float,
-    body: Any,
-    walls: Any,
-    pillars: Any,
-    min_distance: Any,
-    collided: Any,
-    hit_arena: Any,
-    ray_bounds: Any,
-    elapsed: float,
-    ray_period: float,
-    scan: Any,
-    offsets: Any,
-    ranges: Any,
-    first: int,
-    last: int,
-) -> None:
-    """Advance the worlds ``first <= b < last`` by equal steps while their bases steer to ``targets``.
+def advance_worlds(motion: Any, scene: Any, contacts: Any, turn: Any, first: int, last: int) -> None:
+    """Advance the worlds ``first <= b < last`` by equal steps while their bases steer to their targets.
 
     Who may come close to whom, or see whom, is found once, with an allowance for the way all go meanwhile.
 
     Args:
-        poses: World-frame poses, shape (B, N, 3), updated [m, m, rad].
-        velocities: Actual body twists, shape (B, N, 3), updated [m/s, m/s, rad/s].
-        targets: Limited commands, shape (B, N, 3) [m/s, m/s, rad/s].
-        active: Which robots exist, shape (B, N).
-        limits: See ``drive_team``.
-        step: Length of one step [s].
-        body: See ``cast_world``.
-        walls: See ``cast_world``.
-        pillars: See ``cast_world``.
-        min_distance: Smallest distance between two centres so far, shape (B,), updated [m].
-        collided: Whether two footprints have overlapped, shape (B,), updated.
-        hit_arena: Whether a footprint has overlapped a wall or pillar, shape (B,), updated.
-        ray_bounds: Step s measures the rays from ``ray_bounds[s]`` up to ``ray_bounds[s + 1]``, shape (S + 1,).
-        elapsed: Time since ray 0 of this turn, when the first step begins [s].
-        ray_period: Time between two rays [s].
-        scan: See ``cast_moving``.
-        offsets: Errors of the rays' angles, shape (B, N, R) [rad], or (B, N, 0) for none.
-        ranges: The turn being measured, shape (B, N, R), updated [m].
+        motion: ``Motion``; poses and velocities are updated.
+        scene: ``Scene``.
+        contacts: ``Contacts``, updated.
+        turn: ``LidarTurn``; ranges are updated.
         first: First world to advance.
         last: One past the last world to advance.
     """
     for b in range(first, last):
-        closest, overlapped, hit = _advance_world(
-            poses[b],
-            velocities[b],
-            targets[b],
-            active[b],
-            limits,
-            step,
-            body,
-            walls,
-            pillars,
-            (min_distance[b], collided[b], hit_arena[b]),
-            ray_bounds,
-            elapsed,
-            ray_period,
-            scan,
-            offsets[b],
-            ranges[b],
-        )
-        min_distance[b], collided[b], hit_arena[b] = closest, overlapped, hit
+        _advance_world(b, motion, scene, contacts, turn)

@@ -3,8 +3,8 @@
 Every occupied patch also predicts, for the robot nearest to the centroid of its occupied cells: that robot's term of
 the teacher's sum, where its centre lies, whether it is a Gabriel neighbour and whether it shares one with the robot
 that looks. The truth behind a scan is known while training, and this tells each token what the command's sum is made
-of. For the triangulating law the class token also predicts the facts on which its decisions hang. The heads are thrown
-away afterwards. The edges of a graph network predict the same of their senders, whose places they are told.
+of. For the triangulating law the class token also predicts the features on which its decisions hang. The heads are
+thrown away afterwards. The edges of a graph network predict the same of their senders, whose places they are told.
 """
 
 from __future__ import annotations
@@ -87,12 +87,12 @@ def token_targets(
 def edge_targets(labels: TeamLabels) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Targets of every edge of a graph network (E, TARGETS) and which edges have any (E,)."""
     targets = np.zeros((len(labels.seen), TARGETS), dtype=np.float32)
-    targets[:, :2], targets[:, 4:] = labels.terms[:, :2], labels.terms[:, 2:]
+    targets[:, :2], targets[:, 4:] = labels.edge_features[:, :2], labels.edge_features[:, 2:]
     return targets, labels.seen
 
 
 class AuxiliaryHead(nn.Module):
-    """Predicts the targets of a token from its encoding, or the facts of a map from its class token's."""
+    """Predicts the targets of a token from its encoding, or the features of a map from its class token's."""
 
     def __init__(self, dim: int, outputs: int) -> None:
         super().__init__()
@@ -113,7 +113,7 @@ def token_loss(predicted: Tensor, targets: Tensor, valid: Tensor) -> Tensor:
     return torch.where(valid, each, 0.0).sum()
 
 
-def feature_loss(predicted: Tensor, facts: Tensor) -> Tensor:
-    """Sum over maps of the losses of the facts of the triangulating law, both (M, FEATURES)."""
-    gates = functional.binary_cross_entropy_with_logits(predicted[:, :_GATES], facts[:, :_GATES], reduction="none")
-    return (0.1 * gates.sum(1) + 0.1 * (predicted[:, _GATES:] - facts[:, _GATES:]).square().sum(1)).sum()
+def feature_loss(predicted: Tensor, features: Tensor) -> Tensor:
+    """Sum over maps of the losses of the features of the triangulating law, both (M, LAW_FEATURES)."""
+    gates = functional.binary_cross_entropy_with_logits(predicted[:, :_GATES], features[:, :_GATES], reduction="none")
+    return (0.1 * gates.sum(1) + 0.1 * (predicted[:, _GATES:] - features[:, _GATES:]).square().sum(1)).sum()

@@ -62,7 +62,8 @@ class TrainBatch:
         commands: What the network is to answer for the maps that are meant, shape (M, outputs).
         targets: Auxiliary targets of the tokens, shape (K, TARGETS).
         valid: Tokens that have targets, shape (K,).
-        facts: Facts of the triangulating law for the maps that are meant, shape (M, FEATURES), or (M, 0) without it.
+        features: Features of the triangulating law for the maps that are meant, shape (M, LAW_FEATURES), or (M, 0)
+            without it.
         maps: Maps of the whole mini-batch.
     """
 
@@ -70,14 +71,14 @@ class TrainBatch:
     commands: NDArray[np.float32]
     targets: NDArray[np.float32]
     valid: NDArray[np.bool_]
-    facts: NDArray[np.float32]
+    features: NDArray[np.float32]
     maps: int
 
     def to(self, device: torch.device) -> DeviceBatch:
         """The mini-batch in PyTorch."""
-        arrays = (self.commands, self.targets, self.valid, self.facts)
-        commands, targets, valid, facts = (to_device(array, device) for array in arrays)
-        return DeviceBatch(network_inputs(self.packed, device), commands, targets, valid, facts)
+        arrays = (self.commands, self.targets, self.valid, self.features)
+        commands, targets, valid, features = (to_device(array, device) for array in arrays)
+        return DeviceBatch(network_inputs(self.packed, device), commands, targets, valid, features)
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class DeviceBatch:
     commands: Tensor
     targets: Tensor
     valid: Tensor
-    facts: Tensor
+    features: Tensor
 
 
 def _prepare(
@@ -97,7 +98,7 @@ def _prepare(
     seen: FloatArray,
     config: TrainConfig,
     whole: int,
-    facts: FloatArray | None = None,
+    features: FloatArray | None = None,
 ) -> TrainBatch:
     network = map_network(config.network)
     patch = network.patch
@@ -107,7 +108,7 @@ def _prepare(
         packed = _filled_up(packed)
         missing = len(packed.patches) - len(targets)
         targets, valid = np.pad(targets, ((0, missing), (0, 0))), np.pad(valid, (0, missing))
-    told = np.empty((len(commands), 0)) if facts is None else facts
+    told = np.empty((len(commands), 0)) if features is None else features
     return TrainBatch(packed, commands.astype(np.float32), targets, valid, told.astype(np.float32), whole)
 
 
@@ -276,10 +277,10 @@ class SceneSource(DrawnSource):
             )
             for part_seed, share in drawn
         ]
-        maps, commands, seen, facts = (
-            np.concatenate([getattr(part, name) for part in parts]) for name in ("maps", "commands", "seen", "facts")
+        maps, commands, seen, features = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("maps", "commands", "seen", "features")
         )
-        return _prepare(maps, commands, seen, config, config.batch_maps, facts)
+        return _prepare(maps, commands, seen, config, config.batch_maps, features)
 
 
 class TeamSource(SceneSource):
@@ -304,8 +305,8 @@ class TeamSource(SceneSource):
         labels = label_states(states, graph, config.law, self._scenes.max_speed)
         targets, valid = edge_targets(labels)
         meant = min(config.batch_maps - int(whole.offsets[first]), len(states.poses))
-        commands, facts = (values[:meant].astype(np.float32) for values in (labels.commands, labels.facts))
-        return TrainBatch(graph, commands, targets, valid & (graph.receivers < meant), facts, config.batch_maps)
+        commands, features = (values[:meant].astype(np.float32) for values in (labels.commands, labels.features))
+        return TrainBatch(graph, commands, targets, valid & (graph.receivers < meant), features, config.batch_maps)
 
 
 Source = FreshSource | StoredSource | SceneSource

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 from collections.abc import Callable
 from contextlib import ExitStack
 from itertools import pairwise
@@ -13,10 +14,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from triform.control.triangulating_kernels import FEATURES
+from triform.control.triangulating_kernels import LAW_FEATURES
 from triform.files import exclusive, make_folder, write_atomically
 from triform.policy import describe_network
 from triform.policy.kinds import make_network
+from triform.signals import StopSignals
 from triform.training.auxiliary import TARGETS, AuxiliaryHead, feature_loss, token_loss
 from triform.training.batches import DeviceBatch, SceneSource, TrainBatch, open_source
 from triform.training.checkpoints import STATE_FILE, Checkpoints, Progress
@@ -27,7 +29,6 @@ from triform.training.prefetch import Prefetched
 from triform.training.presets import TrainConfig
 from triform.training.processes import Processes, joined, local_device
 from triform.training.state import load_state, read_progress
-from triform.training.stopping import stop_requests
 from triform.types import TriformError, require
 
 CONFIG_FILE = "train.json"
@@ -63,7 +64,7 @@ class Learner(nn.Module):
         self.policy = make_network(config.network)
         network, wanted = config.network, config.auxiliary > 0
         self.auxiliary = AuxiliaryHead(network.token_width, TARGETS) if wanted else None
-        self.facts = AuxiliaryHead(network.dim, FEATURES) if wanted and config.scenes is not None else None
+        self.facts = AuxiliaryHead(network.dim, LAW_FEATURES) if wanted and config.scenes is not None else None
 
     def losses(self, batch: DeviceBatch, config: TrainConfig, maps: float, tokens: float) -> tuple[Tensor, Tensor]:
         """Command loss and total loss of a mini-batch: sums over what it holds, over the numbers to divide by.
@@ -84,7 +85,7 @@ class Learner(nn.Module):
         if predicted is not None:
             total = total + config.auxiliary * token_loss(predicted.float(), batch.targets, batch.valid) / tokens
         if told is not None:
-            total = total + config.auxiliary * feature_loss(told.float(), batch.facts) / maps
+            total = total + config.auxiliary * feature_loss(told.float(), batch.features) / maps
         return command, total
 
 
@@ -180,7 +181,7 @@ def train(
         if resume and (out / STATE_FILE).exists():
             load_state(out / STATE_FILE, learner, optimizer)
             record = read_progress(out / STATE_FILE)
-        stopping = held.enter_context(stop_requests())
+        signals = held.enter_context(StopSignals(always=(), unless_ignored=(signal.SIGINT, signal.SIGTERM)))
         books = None
         if isinstance(source, SceneSource):
             # Validation draws from the teacher's states too.
@@ -202,7 +203,7 @@ def train(
             with prefetched as batches:
                 for step in range(first, end):
                     batch = next(batches)
-                    shared = torch.tensor([batch.valid.sum(), stopping()], dtype=torch.float64)
+                    shared = torch.tensor([batch.valid.sum(), signals.received], dtype=torch.float64)
                     processes.add(shared)
                     tokens, stops = shared.tolist()
                     loss, norm = _gradient(learner, parameters, processes, batch, config, max(tokens, 1.0))

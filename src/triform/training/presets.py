@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 from triform.control import TriangulatingLaw, expert_variant
 from triform.dataset import SceneConfig, StateConfig
 from triform.policy import CnnConfig, GnnConfig, Network, NetworkConfig, PolicySpec
+from triform.simulation import Profile
 from triform.types import ConfigurationError, MapConfig, ScanConfig, require
 
 Precision = Literal["float32", "medium", "bfloat16"]
@@ -113,6 +114,31 @@ class TrainConfig:
             )
         require(self.optimizer in ("adamw", "rmsprop"), f"there is no optimizer {self.optimizer!r}")
 
+    def for_robot(self, robot: Profile) -> TrainConfig:
+        """Return this training with scenes of such robots: their outline, their rays, and errors as large as theirs.
+
+        Noise and lost rays are still drawn anew for every state, up to what the scenes had or the robot has, whichever
+        is larger. Scenes stand still, so its rolling LiDAR and its latency change nothing.
+
+        Raises:
+            ConfigurationError: The training draws no scenes.
+        """
+        if self.scenes is None:
+            raise ConfigurationError(
+                f"the preset {self.preset!r} draws no scenes, so it cannot be trained for the robot {robot.name!r}"
+            )
+        lidar = robot.lidar
+        # A band is noisiest at its end, or at the farthest that a policy looks.
+        reach = self.scan.range_max * self.scenes.distances[1]
+        noise = [band.absolute + band.relative * min(band.up_to, reach) for band in lidar.noise]
+        scenes = replace(
+            self.scenes,
+            footprint=robot.footprint,
+            noise=max([self.scenes.noise, *noise]),
+            dropout=max(self.scenes.dropout, lidar.dropout),
+        )
+        return replace(self, scenes=scenes, scan=replace(self.scan, rays=lidar.scan.rays))
+
     def round_steps(self, steps: int) -> list[int]:
         """Steps at which rounds begin, and the last step, for a training of so many steps."""
         return [0, *(round(share * steps) for share in self.rounds), steps]
@@ -175,6 +201,19 @@ PRESETS = {
         teacher="expert",
         states=StateConfig(robots=(7,)),
     ),
+}
+
+#: Learns the triangulating law in minutes on one processor.
+PRESETS |= {
+    "quick": replace(
+        PRESETS["default"],
+        preset="quick",
+        network=NetworkConfig(dim=64, depth=2, heads=4, mlp=128, outputs=4),
+        maps=300_000,
+        learning_rate=3e-3,
+        warmup=100,
+        rounds=(0.5,),
+    )
 }
 
 #: What the policy that learned the triangulating law is compared with, trained on the same scenes in the same way: a

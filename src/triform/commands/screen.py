@@ -25,6 +25,10 @@ class Screen:
         with self.losing():
             self.console.print(what, style=style, markup=False, highlight=False, soft_wrap=True)
 
+    def say(self, sentence: str) -> None:
+        """Show a sentence."""
+        self.print(sentence)
+
     def warn(self, sentence: str) -> None:
         """Show a warning."""
         self.print(f"warning: {sentence}", "yellow")

@@ -1,110 +1,60 @@
-"""What a driving robot tells its people: a line that lives, and where the time from scan to wheels went."""
+"""What ``triform drive`` shows: a line that lives, and where the time from scan to wheels went."""
 
 from __future__ import annotations
 
 import math
-import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 from rich.box import SIMPLE_HEAD
+from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from triform.commands.screen import Screen
 from triform.control.detection import detect_robots
-from triform.robots.real import Step, Turn
-from triform.robots.screen import Screen
-
-#: Parts of the way from a finished scan to the wheels, and what each is.
-PARTS = {
-    "sense": "age of the scan when it is used",
-    "map": "scan to map",
-    "policy": "map to command",
-    "send": "command to the base",
-    "total": "end of the scan to the base",
-}
+from triform.robots.latency import PARTS
+from triform.robots.real import Step
 
 
-class Budget:
-    """Collects the latencies of every step: sense, map, policy, send, and their total.
+class DriveScreen(Screen):
+    """A ``DriveListener`` on a console."""
 
-    Only the learned policy tells when its maps are made; other controllers count as policy as a whole.
-    """
+    def __init__(self, console: Console, footprint: tuple[float, float] | float, dry_run: bool) -> None:
+        """Show things on a console.
 
-    def __init__(self) -> None:
-        """Begin with nothing."""
-        self._mapped = -math.inf
-        self._parts: dict[str, list[float]] = {name: [] for name in PARTS}
-        self._turn: Turn | None = None
-        self.steps = 0
-        self.late_ticks = 0
-        self.blind_steps = 0
-        self.scans_used = 0
-        self.scans_missed = 0
+        Args:
+            console: Where to.
+            footprint: Length and width of the robots, or the diameter of a circle, by which neighbours are counted [m].
+            dry_run: Whether commands are shown only.
+        """
+        super().__init__(console)
+        self._footprint, self._dry_run = footprint, dry_run
 
-    def clock(self) -> None:
-        """Note that the map is made: the ``clock`` of a ``LearnedPolicy``."""
-        self._mapped = time.monotonic()
+    @contextmanager
+    def driving(self) -> Iterator[Callable[[Step], None]]:
+        """Show a line about the last step while the block runs."""
+        with StatusLine(self, self._footprint, self._dry_run) as line:
+            yield line.show
 
-    def add(self, step: Step) -> None:
-        """Count a step whose command has been sent."""
-        self.steps += 1
-        self.late_ticks += step.late
-        if step.turn is None or step.blind:
-            self.blind_steps += 1
-            return
-        self._count_turn(step.turn)
-        parts = {"sense": step.scan_age, "send": step.sent - step.decided, "total": step.latency}
-        thought_since = step.seen
-        if step.seen <= self._mapped <= step.decided:
-            parts["map"] = self._mapped - step.seen
-            thought_since = self._mapped
-        parts["policy"] = step.decided - thought_since
-        for name, seconds in parts.items():
-            self._parts[name].append(seconds)
-
-    def summary(self) -> dict[str, Any]:
-        """Return counts, and median, 95 % quantile and maximum of every part [s]."""
-        counts = ("steps", "late_ticks", "blind_steps", "scans_used", "scans_missed")
-        return {
-            **{name: getattr(self, name) for name in counts},
-            "seconds": {
-                name: {
-                    "median": float(np.median(seconds)),
-                    "p95": float(np.quantile(seconds, 0.95)),
-                    "max": float(np.max(seconds)),
-                }
-                for name, seconds in self._parts.items()
-                if seconds
-            },
-        }
-
-    def print(self, screen: Screen) -> None:
-        """Show the table of latencies and the counts."""
+    def ended(self, summary: dict[str, Any]) -> None:
+        """Show the table of latencies and the counts of ``Budget.summary``."""
         table = Table(title="latency [ms]", title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=0)
         table.add_column("part")
         for heading in ("median", "95 %", "max"):
             table.add_column(heading, justify="right", min_width=8)
         table.add_column("  what")
-        for name, quantiles in self.summary()["seconds"].items():
+        for name, quantiles in summary["seconds"].items():
             table.add_row(name, *(f"{1000 * value:.1f}" for value in quantiles.values()), f"  {PARTS[name]}")
         if table.row_count:
-            screen.print(table)
-        screen.print(
-            f"{self.steps} commands, {self.late_ticks} late, {self.blind_steps} without a fresh scan; "
-            f"{self.scans_used} scans used, {self.scans_missed} missed"
+            self.print(table)
+        self.say(
+            f"{summary['steps']} commands, {summary['late_ticks']} late, {summary['blind_steps']} without a fresh "
+            f"scan; {summary['scans_used']} scans used, {summary['scans_missed']} missed"
         )
-
-    def _count_turn(self, turn: Turn) -> None:
-        last = self._turn
-        if last is not None and turn.ended <= last.ended:
-            return
-        self.scans_used += 1
-        if last is not None:
-            self.scans_missed += max(0, round((turn.started - last.ended) / (turn.ended - turn.started)))
-        self._turn = turn
 
 
 class StatusLine:
