@@ -211,7 +211,7 @@ class PolicyRuntime(StoredPolicy):
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
         self._network = map_network(self.spec.network)
-        self._room = _Workspace(self._network.patches, self._network.patch**2)
+        self._workspace = _Workspace(self._network.patches, self._network.patch**2)
 
     def commands(self, packed: PackedMaps) -> FloatArray:
         """Body twists (M, 3) [m/s, m/s, rad/s] of M maps.
