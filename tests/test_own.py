@@ -136,8 +136,11 @@ def test_controllers_travel_and_command_the_same(name, folder):
             "cannot be made: V",
         ),
         ("class Mine:\n    def command(self, view): return view.poses", "failed: AttributeError"),
-        ("class Mine:\n    def command(self, view): return 1", r"of shape \(\); \(1, 3, 3\) is needed"),
-        ("class Mine:\n    def command(self, view): return [[[float('nan')] * 3] * 3]", "is not finite"),
+        ("class Mine:\n    def command(self, view): return 1", r"of shape \(\); body twists, numbers of shape"),
+        (
+            "class Mine:\n    def command(self, view): return [[[float('nan')] * 3] * 3]",
+            "robot 0 of world 0; a body twist is finite",
+        ),
     ],
 )
 def test_a_controller_that_does_not_work_is_refused_in_a_sentence(code, says, tmp_path, monkeypatch):

@@ -216,9 +216,11 @@ class View:
             ConfigurationError: The ranges are no numbers, or of another shape.
         """
         try:
-            given = np.asarray(ranges, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ConfigurationError("the ranges of a scan are no array of numbers") from None
+            numbers = np.asarray(ranges)
+        except ValueError:
+            raise ConfigurationError("the ranges of scans are rows of several lengths; they need one length") from None
+        require(numbers.dtype.kind in "iuf", f"the ranges of a scan are of type {numbers.dtype}; numbers are needed")
+        given = numbers.astype(np.float64)
         require(
             1 <= given.ndim <= 3 and given.size > 0,
             f"ranges of shape {given.shape} given; (R,), (N, R) or (B, N, R) is needed, with at least one ray",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -15,7 +17,7 @@ from triform.control.scan_pipeline import ScanPipeline
 from triform.control.triangulating import Triangulating
 from triform.control.user import UserController, installed_controllers, load_class
 from triform.policy import GnnRuntime, PolicyRuntime
-from triform.types import ConfigurationError, Controller, choose, require
+from triform.types import ConfigurationError, Controller, choose, nearest, require
 
 CONTROLLERS = ("policy", *EXPERTS, "triangulating", "scan-pipeline", "scan-triangulating", "gnn")
 DEFAULT_WEIGHTS = "default"
@@ -39,10 +41,16 @@ class ControllerSpec:
 
     def __post_init__(self) -> None:
         name, weights = self.name, self.weights
-        known = name in CONTROLLERS or ":" in name or name in installed_controllers()
-        if not known:
+        head, colon, rest = name.partition(":")
+        require(
+            not colon or head not in CONTROLLERS,
+            f"the name of a controller is {name!r}; it is {head!r}, with the weights {rest!r} beside it",
+        )
+        if name not in CONTROLLERS and not _names_class(name):
             # The sentence names all that there are.
-            choose("controller", name, dict.fromkeys((*CONTROLLERS, *installed_controllers())), _OR_YOURS)
+            known = dict.fromkeys((*CONTROLLERS, *installed_controllers()))
+            if name not in known:
+                choose("controller", head, known, _OR_YOURS)
         require(
             weights is None or name in WITH_WEIGHTS,
             f"the controller {name!r} has no weights; they belong to {' and '.join(WITH_WEIGHTS)}",
@@ -92,7 +100,10 @@ def weights_folder(weights: str | None, controller: str = "policy") -> Path:
     name = weights or WITH_WEIGHTS[controller]
     folder = shipped.get(name, Path(name))
     if not folder.exists():
-        raise ConfigurationError(f"there is no policy {name!r}: it is neither a folder nor one of {', '.join(shipped)}")
+        raise ConfigurationError(
+            f"there is no policy {name!r}{nearest(name, shipped)}: it is neither a folder nor one of "
+            f"{', '.join(shipped)}"
+        )
     return folder
 
 
@@ -134,6 +145,19 @@ def make_controller(
 def _blocking_radius(footprint: tuple[float, float] | float) -> float:
     """Radius of the disc for which a robot of this outline blocks sight [m]: half its mean width."""
     return sum(footprint) / 4 if isinstance(footprint, tuple) else footprint / 2
+
+
+def _names_class(name: str) -> bool:
+    """Tell whether a name says where a class is: ``FILE.py:CLASS``, or ``MODULE:CLASS`` of a module that is there."""
+    where, _, own = name.rpartition(":")
+    if not own.isidentifier():
+        return False
+    if where.endswith(".py"):
+        return True
+    package = where.split(".")[0]
+    if not all(part.isidentifier() for part in where.split(".")):
+        return False
+    return package in sys.modules or importlib.util.find_spec(package) is not None
 
 
 def _user_class(name: str) -> type[Any]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from triform.simulation.arena import Arena
-from triform.simulation.tables import TomlTable, are_numbers
+from triform.simulation.tables import TomlTable, are_numbers, quoted
 from triform.types import ConfigurationError, FloatArray
 
 
@@ -51,7 +51,7 @@ def _sides(box: TomlTable) -> FloatArray:
 def arena_toml(arena: Arena) -> str:
     """Return an arena as the text of a TOML file, with units, to start from."""
     lines = [
-        f'name = "{arena.name}"',
+        f"name = {quoted(arena.name)}",
         "# Segments x1, y1, x2, y2 [m].",
         f"walls = {_rows(arena.walls)}",
         "# Solid circles x, y, radius [m].",

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 from triform.simulation.profiles import Drive, Footprint, LidarConfig, NoiseBand, Profile
-from triform.simulation.tables import TomlTable
+from triform.simulation.tables import TomlTable, quoted
 from triform.types import ConfigurationError, ScanConfig
 
 _LIMITS = tuple(each.name for each in fields(Drive))
@@ -88,36 +88,36 @@ def profile_toml(profile: Profile) -> str:
     """Return a profile as the text of a TOML file, with units, to start from."""
     lidar, scan, drive = profile.lidar, profile.lidar.scan, profile.drive
     bands = ",\n".join(
-        f"    {{ up_to = {band.up_to!r}, absolute = {band.absolute!r}, relative = {band.relative!r} }}"
+        "    { " + ", ".join(f"{name} = {float(value)!r}" for name, value in asdict(band).items()) + " }"
         for band in lidar.noise
     )
     noise = f"[\n{bands},\n]" if bands else "[]"
     lines = [
-        f'name = "{profile.name}"',
+        f"name = {quoted(profile.name)}",
         f'footprint = "{profile.footprint.label}"  # circle:DIAMETER or box:LENGTHxWIDTH [m], centred on the LiDAR',
-        f"control_period = {profile.control_period!r}  # time between two commands [s]",
-        f"latency = {profile.latency!r}  # from a finished scan until a command can use it [s]",
-        f"time_step = {profile.time_step!r}  # longest integration step of the simulation [s]",
+        f"control_period = {float(profile.control_period)!r}  # time between two commands [s]",
+        f"latency = {float(profile.latency)!r}  # from a finished scan until a command can use it [s]",
+        f"time_step = {float(profile.time_step)!r}  # longest integration step of the simulation [s]",
         f"odometry = {str(profile.odometry).lower()}  # whether wheels tell how far the robot has come",
         "",
         "[lidar]",
         f"rays = {scan.rays}  # of a full turn",
-        f"angle_min = {scan.angle_min!r}  # angle of the first ray, counter-clockwise from the front [rad]",
-        f"range_min = {scan.range_min!r}  # [m]",
-        f"range_max = {scan.range_max!r}  # [m]; a robot uses 2 d* of what its LiDAR reaches",
-        f"period = {lidar.period!r}  # of one turn [s]",
+        f"angle_min = {float(scan.angle_min)!r}  # angle of the first ray, counter-clockwise from the front [rad]",
+        f"range_min = {float(scan.range_min)!r}  # [m]",
+        f"range_max = {float(scan.range_max)!r}  # [m]; a robot uses 2 d* of what its LiDAR reaches",
+        f"period = {float(lidar.period)!r}  # of one turn [s]",
         f"rolling = {str(lidar.rolling).lower()}  # whether each ray is measured at its own moment of the turn",
-        f"dropout = {lidar.dropout!r}  # share of rays that return nothing valid",
-        f"angle_noise = {lidar.angle_noise!r}  # standard deviation of a ray's direction [rad]",
+        f"dropout = {float(lidar.dropout)!r}  # share of rays that return nothing valid",
+        f"angle_noise = {float(lidar.angle_noise)!r}  # standard deviation of a ray's direction [rad]",
         "# Standard deviation of ranges up to a distance [m]: absolute [m] + relative x range; the last up to inf.",
         f"noise = {noise}",
         "",
         "[drive]  # holonomic base; inf is no limit",
-        f"max_speed = {drive.max_speed!r}  # [m/s]",
-        f"max_axis_speed = {drive.max_axis_speed!r}  # along x and along y [m/s]",
-        f"max_turn_rate = {drive.max_turn_rate!r}  # [rad/s]",
-        f"max_acceleration = {drive.max_acceleration!r}  # [m/s^2]",
-        f"max_turn_acceleration = {drive.max_turn_acceleration!r}  # [rad/s^2]",
-        f"lag = {drive.lag!r}  # time constant of the base [s]",
+        f"max_speed = {float(drive.max_speed)!r}  # [m/s]",
+        f"max_axis_speed = {float(drive.max_axis_speed)!r}  # along x and along y [m/s]",
+        f"max_turn_rate = {float(drive.max_turn_rate)!r}  # [rad/s]",
+        f"max_acceleration = {float(drive.max_acceleration)!r}  # [m/s^2]",
+        f"max_turn_acceleration = {float(drive.max_turn_acceleration)!r}  # [rad/s^2]",
+        f"lag = {float(drive.lag)!r}  # time constant of the base [s]",
     ]
     return "\n".join(lines) + "\n"

@@ -77,7 +77,8 @@ class Footprint:
     @property
     def label(self) -> str:
         """The outline as ``parse`` reads it."""
-        return f"circle:{self.length!r}" if self.is_circle else f"box:{self.length!r}x{self.width!r}"
+        length, width = float(self.length), float(self.width)
+        return f"circle:{length!r}" if self.is_circle else f"box:{length!r}x{width!r}"
 
     @property
     def is_circle(self) -> bool:

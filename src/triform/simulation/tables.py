@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,7 +38,8 @@ class TomlTable:
             return cls(path, tomllib.loads(path.read_text(encoding="utf-8")))
         except OSError as error:
             raise ConfigurationError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}") from None
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
+            # Numbers too long to read are a ValueError of their own.
             raise ConfigurationError(f"{path} is no TOML file: {error}") from None
 
     def known(self, *keys: str) -> None:
@@ -59,7 +61,7 @@ class TomlTable:
     def number(self, key: str, default: float) -> float:
         """Return a number; ``inf`` counts as one."""
         value = self.values.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        if not _is_number(value):
             raise self.wrong(key, value, "a number is needed")
         return float(value)
 
@@ -114,8 +116,19 @@ class TomlTable:
 
 def are_numbers(value: Any, count: int) -> bool:
     """Tell whether a value is a list of so many numbers."""
-    return (
-        isinstance(value, list)
-        and len(value) == count
-        and all(isinstance(each, int | float) and not isinstance(each, bool) for each in value)
-    )
+    return isinstance(value, list) and len(value) == count and all(_is_number(each) for each in value)
+
+
+def _is_number(value: Any) -> bool:
+    """Tell whether a value is a number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return not math.isnan(value) if isinstance(value, float) else abs(value) <= sys.float_info.max
+
+
+def quoted(text: str) -> str:
+    """Return a text as TOML spells it."""
+    escapes = {'"': '\\"', "\\": "\\\\"}
+    # Control characters are not allowed as they are.
+    spelled = (escapes.get(each) or (f"\\u{ord(each):04x}" if each < " " or each == "\x7f" else each) for each in text)
+    return '"' + "".join(spelled) + '"'
