@@ -24,13 +24,11 @@ from triform.simulation import (
     ARENAS,
     FOOTPRINTS,
     PROFILES,
-    Arena,
     Drive,
     Footprint,
     LidarConfig,
     NoiseBand,
     Profile,
-    arena_toml,
     get_arena,
     get_profile,
     make_world,
@@ -94,16 +92,6 @@ def test_the_readme_runs_as_it_stands():
     code = "import os\nbefore = dict(os.environ)\n" + code + "\nassert dict(os.environ) == before\n"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "'strict': 1.0" in shown
-
-
-def test_the_front_door_is_lazy_and_whole():
-    code = "import sys, triform; assert not {'numpy', 'numba', 'tyro'} & set(sys.modules); print(dir(triform))"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    for name in triform.__all__:
-        assert f"'{name}'" in shown
-        assert getattr(triform, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'magic'"):
-        _ = triform.magic
 
 
 def test_missing_metadata_of_the_package_stops_nothing(tmp_path):
@@ -234,15 +222,6 @@ def test_what_show_prints_is_a_file_to_start_from(name, tmp_path, capsys):
         assert found.name == name
 
 
-def test_boxes_of_an_arena_are_closed_walls(tmp_path):
-    path = tmp_path / "hall.toml"
-    path.write_text("boxes = [{ center = [1, 2], length = 2, width = 1, heading = 0.0 }]")
-    walls = get_arena(str(path)).walls
-    assert {tuple(wall[:2]) for wall in walls} == {(2, 2.5), (0, 2.5), (0, 1.5), (2, 1.5)}
-    np.testing.assert_array_equal(walls[:, 2:], np.roll(walls[:, :2], -1, axis=0))
-    assert "walls" in arena_toml(Arena.open())
-
-
 @pytest.mark.parametrize(
     ("kind", "text", "says"),
     [
@@ -280,26 +259,3 @@ def test_a_bad_file_is_refused_with_file_key_and_what_is_allowed(kind, text, say
 )
 def test_a_footprint_is_read_as_it_is_spelled(footprint):
     assert Footprint.parse(footprint.label) == footprint
-
-
-@pytest.mark.parametrize("shape", [(450,), (3, 450), (2, 3, 450)])
-@pytest.mark.parametrize("kind", ["<f2", ">f4", "f8", "g"])
-def test_a_view_of_scans_takes_any_numbers(shape, kind):
-    view = View.of_scan(np.full(shape, 1.5, dtype=kind))
-    assert view.scans.ranges.shape == (1,) * (3 - len(shape)) + shape
-    assert view.active.all()
-    make_controller("policy").command(view)
-
-
-@pytest.mark.parametrize("ranges", [[], 3.0, "near", np.zeros((1, 1, 1, 4)), [[1.0], [1.0, 2.0]]])
-def test_what_is_no_scan_is_refused(ranges):
-    with pytest.raises(ConfigurationError, match="ranges of"):
-        View.of_scan(ranges)
-
-
-def test_a_world_is_run_zero_of_an_evaluation():
-    world = make_world(robots=5, seed=3, profile="hardware", distance=0.8)
-    scenario = triform.Scenario(profile="hardware", distance=0.8, duration=5.0)
-    run, _ = scenario.run(scenario.sample_starts(5, 1, 3), "scan-pipeline", seed=3)
-    controller = scenario.make_controller("scan-pipeline")
-    np.testing.assert_array_equal(triform.rollout(world, controller, 5.0).poses, run.poses)
