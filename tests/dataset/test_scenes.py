@@ -14,7 +14,7 @@ from shapely.geometry import LineString, Point
 
 from triform.control import Triangulating, TriangulatingLaw
 from triform.dataset import SceneConfig, StateBuffer, Views, draw_views
-from triform.dataset.scenes import SEEN, SceneDraws, draw_body, draw_positions, scene_draws, visited_states
+from triform.dataset.scenes import SEEN, SceneDraws, buffered_states, draw_body, draw_positions, scene_draws
 from triform.geometry import body_to_world
 from triform.simulation import ROBOMASTER_EP, Footprint
 from triform.types import ConfigurationError, MapConfig, PrivilegedView, Scan, ScanConfig
@@ -157,7 +157,7 @@ def test_placements_keep_their_spacing_and_hang_together(seed: int, sizes: tuple
     least, most = sizes[0], sizes[0] + sizes[1]
     rng, team, nobody = np.random.default_rng(seed), np.empty((most, 2)), StateBuffer.none()
     for _ in range(10):
-        robots = draw_positions(rng, visited_states(nobody), draws_of(0.0, (least, most)), team)
+        robots = draw_positions(rng, buffered_states(nobody), draws_of(0.0, (least, most)), team)
         assert robots == 0 or least <= robots <= most
         placed = team[:robots]
         distance = np.linalg.norm(placed[:, None] - placed[None], axis=2)
@@ -169,7 +169,7 @@ def test_placements_keep_their_spacing_and_hang_together(seed: int, sizes: tuple
 def test_every_size_is_placed() -> None:
     rng, team, nobody = np.random.default_rng(1), np.empty((20, 2)), StateBuffer.none()
     config = SceneConfig()
-    counts = [draw_positions(rng, visited_states(nobody), draws_of(0.15, config.sizes), team) for _ in range(600)]
+    counts = [draw_positions(rng, buffered_states(nobody), draws_of(0.15, config.sizes), team) for _ in range(600)]
     assert set(range(2, 21)) <= set(counts) <= {0, *range(2, 21)}
     assert counts.count(0) < 30
 
@@ -181,7 +181,7 @@ def test_visited_states_are_jittered_by_one_of_the_deviations() -> None:
     deviations = np.array([0.0, 0.01, 0.1])
     sizes = []
     for _ in range(600):
-        assert draw_positions(rng, visited_states(visited), draws_of(0.0, (1, 1), deviations), team) == 8
+        assert draw_positions(rng, buffered_states(visited), draws_of(0.0, (1, 1), deviations), team) == 8
         sizes.append(np.std(team - positions))
     nearest = np.abs(np.array(sizes)[:, None] - deviations).argmin(axis=1)
     assert stats.chisquare(np.bincount(nearest, minlength=3)).pvalue > 0.01
@@ -194,7 +194,7 @@ def test_placements_and_visited_states_are_drawn_in_their_shares() -> None:
     visited = StateBuffer.of_teams(positions[None])
     rng, team, placed = np.random.default_rng(3), np.empty((9, 2)), 0
     for _ in range(1000):
-        robots = draw_positions(rng, visited_states(visited), draws_of(0.3, (3, 3)), team)
+        robots = draw_positions(rng, buffered_states(visited), draws_of(0.3, (3, 3)), team)
         placed += robots == 3 and not np.array_equal(team[:3], positions)
     assert abs(placed - 300) < 60
 

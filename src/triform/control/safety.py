@@ -1,17 +1,17 @@
-"""A layer between any controller and the wheels: no robot drives into what its own scan shows.
+"""A filter between any controller and the wheels: no robot drives into what its own scan shows.
 
 Every return of the newest scan at a gap g from the robot's own outline, along the unit vector n, allows the velocities
 ``n . u <= rate * max(g - min_gap, 0)``: a control barrier function, as a half-plane. The command becomes the nearest
 velocity that all half-planes allow.
 
-Why robots keep apart. The layer cannot know that another robot moves, so each takes half of what is left. Let X be the
+Why robots keep apart. The filter cannot know that another robot moves, so each takes half of what is left. Let X be the
 gap of two guarded robots beyond ``min_gap``. A command that is still driven may rest on a scan as old as ``reaction``,
 so ``X'(t) >= -2 rate X(t - s)`` with ``s <= reaction``. With ``rate = 1 / (2 e reaction)`` X never shrinks faster than
 ``exp(-t / reaction)``: as long as it has not, ``X(t - s) <= e X(t)``, so ``X' >= -X / reaction``. So X stays positive,
 whatever the controllers want, if it was when the robots stood. This holds exactly for motion along one line; for bodies
 that pass each other, whose nearest points move along them, it is a rule that experiments confirm.
 
-Zero is always allowed, so the layer never makes a command longer, never moves a robot that wants to rest, and never has
+Zero is always allowed, so the filter never makes a command longer, never moves a robot that wants to rest, and never has
 to choose between two dangers. It does not push robots apart that are nearer than ``min_gap``, and it does not plan: two
 robots that want to change places stop in front of each other.
 
@@ -29,7 +29,7 @@ from typing import Any, Generic
 import numpy as np
 
 from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint, ray_directions
-from triform.control.safety_kernels import Guard, guard_robots
+from triform.control.safety_kernels import SafetyRules, filter_robots
 from triform.threads import in_parts
 from triform.types import Controller, FloatArray, ViewIn, require
 
@@ -58,7 +58,7 @@ def reaction_time(
 
 @dataclass(frozen=True)
 class SafetySettings:
-    """Settings of the layer.
+    """Settings of the filter.
 
     Attributes:
         footprint: Length and width of the robots' box, or the diameter of a circle [m].
@@ -94,12 +94,12 @@ class SafetyFilter(Generic[ViewIn]):
 
     A command that is allowed is passed on to the bit. A robot whose scan holds no measurement stands still. So does
     one that has seen no return within the first ``reaction`` of a run, because its first scan may not be there yet;
-    a robot that joins a running team is not known to the layer, and drives blind until its first scan.
+    a robot that joins a running team is not known to the filter, and drives blind until its first scan.
 
     A command that turns is limited for the circle around the footprint instead, so that no corner sweeps into what
     stands outside it, and the robot does not turn while a return lies within. That circle may reach over what stands
     beside the robot, and the bound takes no account of how much the robot turns in ``reaction``: no controller of this
-    package turns, and the layer is not tested for overlaps of robots that do.
+    package turns, and the filter is not tested for overlaps of robots that do.
     """
 
     def __init__(self, controller: Controller[ViewIn], guard: SafetySettings | None = None) -> None:
@@ -107,7 +107,7 @@ class SafetyFilter(Generic[ViewIn]):
 
         Args:
             controller: Any controller; it gets the view unchanged.
-            guard: Settings of the layer; by default those of a RoboMaster EP.
+            guard: Settings of the filter; by default those of a RoboMaster EP.
         """
         self._controller = controller
         self._guard = guard or SafetySettings()
@@ -119,7 +119,7 @@ class SafetyFilter(Generic[ViewIn]):
 
     @property
     def description(self) -> dict[str, Any]:
-        """What the guarded controller says, and the settings of the layer as ``guard``; no limit is ``None``."""
+        """What the guarded controller says, and the settings of the filter as ``guard``; no limit is ``None``."""
         settings = {name: None if value == math.inf else value for name, value in asdict(self._guard).items()}
         half_length, half_width, is_circle = kernel_footprint(self._guard.footprint)
         shape = "circle" if is_circle else "box"
@@ -134,7 +134,7 @@ class SafetyFilter(Generic[ViewIn]):
         active = np.ascontiguousarray(view.active).reshape(-1)
         body = kernel_footprint(guard.footprint)
         circumradius = body.half_length if body.is_circle else math.hypot(body.half_length, body.half_width)
-        law = Guard(
+        law = SafetyRules(
             ray_directions(view.scans),
             config.range_min,
             config.range_max,
@@ -148,7 +148,7 @@ class SafetyFilter(Generic[ViewIn]):
         early = view.time < guard.reaction
         flat = commands.reshape(-1, 3)
         in_parts(
-            lambda first, last: guard_robots(ranges, active, law, early, flat, first, last),
+            lambda first, last: filter_robots(ranges, active, law, early, flat, first, last),
             len(flat), len(flat), ROBOTS_PER_THREAD,
         )  # fmt: skip
         return commands

@@ -13,7 +13,7 @@ from triform.types import Body
 _PARALLEL = 1e-9
 
 
-class Guard(NamedTuple):
+class SafetyRules(NamedTuple):
     """What limits a command.
 
     Attributes:
@@ -170,13 +170,13 @@ def _find_planes(ranges, guard, body, speed, planes):
 
 
 @kernel
-def guard_robots(ranges, active, guard, early, commands, first, last):
+def filter_robots(ranges, active, guard, early, commands, first, last):
     """Limit the commands of the robots ``first <= m < last`` in place.
 
     Args:
         ranges: Newest scans [m], shape (M, R).
         active: Robots that exist, shape (M,).
-        guard: ``Guard``.
+        guard: ``SafetyRules``.
         early: Whether scans may still be missing because the run has just begun.
         commands: Body twists, shape (M, 3) [m/s, m/s, rad/s].
         first: First robot.

@@ -125,7 +125,7 @@ class SceneDraws(NamedTuple):
     max_speed: float
 
 
-class VisitedStates(NamedTuple):
+class BufferedStates(NamedTuple):
     """``StateBuffer`` as kernels take it.
 
     Attributes:
@@ -157,9 +157,9 @@ def scene_draws(config: SceneConfig) -> SceneDraws:
     )
 
 
-def visited_states(states: StateBuffer) -> VisitedStates:
+def buffered_states(states: StateBuffer) -> BufferedStates:
     """Return visited states as kernels take them."""
-    return VisitedStates(states.positions, states.offsets)
+    return BufferedStates(states.positions, states.offsets)
 
 
 @kernel
@@ -209,7 +209,7 @@ def blocking_radius(body):
 def draw_positions(rng, visited, draws, team):
     """Write the positions of a random state into the front of ``team`` (longest, 2); returns the number of robots.
 
-    A placement that found no place gives no robot. The states come from ``VisitedStates`` and ``SceneDraws``.
+    A placement that found no place gives no robot. The states come from ``BufferedStates`` and ``SceneDraws``.
     """
     positions, offsets = visited
     sizes, jitter = draws.sizes, draws.jitter
@@ -393,7 +393,7 @@ def draw_views(
         np.empty((maps, LAW_FEATURES)),
     )
     _draw_views(
-        rng, visited_states(visited), scene_draws(config), law.constants, scan_rays(scan), map_rules(scan, map_config),
+        rng, buffered_states(visited), scene_draws(config), law.constants, scan_rays(scan), map_rules(scan, map_config),
         out.maps, out.commands, out.seen, out.features,
     )  # fmt: skip
     return out

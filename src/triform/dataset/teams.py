@@ -16,12 +16,12 @@ from triform.control.triangulating_kernels import LAW_EDGE_FEATURES, LAW_FEATURE
 from triform.dataset.scenes import (
     SceneConfig,
     blocking_radius,
+    buffered_states,
     draw_body,
     draw_positions,
     label_robot,
     longest_team,
     scene_draws,
-    visited_states,
 )
 from triform.dataset.state_buffer import StateBuffer
 from triform.kernels import kernel
@@ -81,7 +81,7 @@ class TeamLabels:
 def _draw_states(rng, robots, visited, draws, poses, offsets, blocking):
     """Fill ``poses``, ``offsets`` and ``blocking`` of ``TeamStates`` until they hold ``robots`` robots.
 
-    The states come from ``VisitedStates`` and ``SceneDraws``; returns the number of teams.
+    The states come from ``BufferedStates`` and ``SceneDraws``; returns the number of teams.
     """
     team = np.empty((longest_team(visited, draws), 2))
     teams = 0
@@ -146,7 +146,7 @@ def draw_states(rng: np.random.Generator, robots: int, config: SceneConfig, visi
         config: What varies; of the sensor and of arenas nothing is used.
         visited: States to draw from; without any, all states are random placements.
     """
-    states, draws = visited_states(visited), scene_draws(config)
+    states, draws = buffered_states(visited), scene_draws(config)
     longest = longest_team(states, draws)
     poses = np.empty((robots + longest, 3))
     offsets, blocking = np.empty(robots + 1, dtype=np.int64), np.empty(robots)

@@ -69,7 +69,7 @@ class DriveConfig:
         footprint: Outline of the robots: a name such as ep, circle:0.30 (diameter) or box:0.41x0.24 [m]; the profile's
             if omitted.
         odometry: Whether to use the odometry of the wheels.
-        guard: Whether a layer between controller and wheels keeps the robot from driving into what its scan shows.
+        guard: Whether the safety filter keeps the robot from driving into what its scan shows.
     """
 
     lidar: str = "/dev/ttyUSB0"

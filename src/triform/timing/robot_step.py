@@ -129,7 +129,7 @@ class _Stopwatch:
 
 
 class _Noting:
-    """A controller that notes when it has decided, so that the layer around it can be timed by itself."""
+    """A controller that notes when it has decided, so that the filter around it can be timed by itself."""
 
     privileged = False
 
@@ -153,7 +153,7 @@ class Robot:
         self._parser, self._assembler = PacketParser(), TurnAssembler(LD20, scan)
         self._time = 0.0
         policy = LearnedPolicy(PolicyRuntime(weights_folder(job.weights), threads=1), job.distance, self._watch)
-        # What the layer costs does not depend on how long a robot takes to react.
+        # What the filter costs does not depend on how long a robot takes to react.
         guard = SafetySettings(HARDWARE.footprint.size, max_axis_speed=HARDWARE.drive.max_axis_speed)
         self._controller = SafetyFilter(_Noting(policy, self._watch), guard)
 
