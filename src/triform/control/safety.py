@@ -11,8 +11,8 @@ so ``X'(t) >= -2 rate X(t - s)`` with ``s <= reaction``. With ``rate = 1 / (2 e 
 whatever the controllers want, if it was when the robots stood. This holds exactly for motion along one line; for bodies
 that pass each other, whose nearest points move along them, it is a rule that experiments confirm.
 
-Zero is always allowed, so the filter never makes a command longer, never moves a robot that wants to rest, and never has
-to choose between two dangers. It does not push robots apart that are nearer than ``min_gap``, and it does not plan: two
+Zero is always allowed, so the filter never makes a command longer, never moves a robot that wants to rest, and never
+has to choose between two dangers. It does not push robots apart that are nearer than ``min_gap``, and it does not plan: two
 robots that want to change places stop in front of each other.
 
 Noise. The median of each ray and its neighbours counts, so what one ray alone shows, near or far, does nothing.
