@@ -192,7 +192,7 @@ def test_an_ended_keeper_stops_the_wheels_and_is_told(emulator, ended):
     with connect(emulator) as base:
         base.drive(np.array([0.1, 0.0, 0.0]))
         until_driven(emulator, [0.1, 0.0, 0.0])
-        base._keeper.send_signal(ended)
+        base._process.send_signal(ended)
         until_driven(emulator, 0.0)
         with pytest.raises(RoboMasterError, match="has ended"):
             keep_driving(base)
@@ -200,10 +200,10 @@ def test_an_ended_keeper_stops_the_wheels_and_is_told(emulator, ended):
 
 def test_a_stopped_keeper_is_noticed(emulator):
     with connect(emulator, watchdog=0.3) as base:
-        base._keeper.send_signal(signal.SIGSTOP)
+        base._process.send_signal(signal.SIGSTOP)
         with pytest.raises(RoboMasterError, match="answered"):
             keep_driving(base)
-        base._keeper.send_signal(signal.SIGCONT)
+        base._process.send_signal(signal.SIGCONT)
         until(lambda: not emulator.driven)
 
 

@@ -82,7 +82,7 @@ def until(condition, seconds=30.0):
         time.sleep(0.005)
 
 
-def keeper_of(driver):
+def watchdog_of(driver):
     """Process id of the watchdog that a driving process has started."""
     for folder in Path("/proc").glob("[0-9]*"):
         if stat(folder.name)[1:2] == [str(driver.pid)] and b"watchdog" in (folder / "cmdline").read_bytes():
@@ -121,7 +121,7 @@ def stopped(emulator, watchdog):
 )
 def test_signals_to_all_processes_of_a_terminal_stop_the_wheels(emulator, start, what, ended):
     driver = start(what)
-    watchdog = keeper_of(driver)
+    watchdog = watchdog_of(driver)
     os.killpg(driver.pid, ended)
     stopped(emulator, watchdog)
     assert driver.wait(30) != 0
@@ -130,7 +130,7 @@ def test_signals_to_all_processes_of_a_terminal_stop_the_wheels(emulator, start,
 @pytest.mark.parametrize("what", ["raises", "exits"])
 def test_ends_of_the_driving_process_stop_the_wheels(emulator, start, what):
     driver = start(what)
-    watchdog = keeper_of(driver)
+    watchdog = watchdog_of(driver)
     driver.communicate("now\n", timeout=30)
     stopped(emulator, watchdog)
     assert driver.returncode == (1 if what == "raises" else 3)
@@ -138,7 +138,7 @@ def test_ends_of_the_driving_process_stop_the_wheels(emulator, start, what):
 
 def test_a_hung_control_loop_stops_the_wheels(emulator, start):
     driver = start("hangs", 1.5)
-    watchdog = keeper_of(driver)
+    watchdog = watchdog_of(driver)
     driver.stdin.write("now\n")
     driver.stdin.flush()
     until(lambda: not emulator.command.any())
@@ -149,7 +149,7 @@ def test_a_hung_control_loop_stops_the_wheels(emulator, start):
 
 def test_a_stopped_process_stops_the_wheels_until_it_goes_on(emulator, start):
     driver = start("drives", 2.0)
-    watchdog = keeper_of(driver)
+    watchdog = watchdog_of(driver)
     driver.send_signal(signal.SIGSTOP)
     until(lambda: not emulator.command.any())
     assert emulator.driven
@@ -162,14 +162,14 @@ def test_a_stopped_process_stops_the_wheels_until_it_goes_on(emulator, start):
 
 def test_children_of_a_killed_process_keep_nothing_moving(emulator, start):
     driver = start("forks")
-    watchdog = keeper_of(driver)
+    watchdog = watchdog_of(driver)
     driver.kill()
     stopped(emulator, watchdog)
 
 
 def test_driver_and_keeper_killed_together_stop_the_wheels(emulator, start):
     driver = start("drives")
-    watchdog = keeper_of(driver)
+    watchdog = watchdog_of(driver)
     os.kill(int(watchdog), signal.SIGKILL)
     driver.kill()
     stopped(emulator, watchdog)
@@ -177,7 +177,7 @@ def test_driver_and_keeper_killed_together_stop_the_wheels(emulator, start):
 
 def test_a_lost_connection_ends_all(emulator, start):
     driver = start("drives")
-    watchdog = keeper_of(driver)
+    watchdog = watchdog_of(driver)
     emulator.hang_up()
     stopped(emulator, watchdog)
     assert driver.wait(30) == 1
@@ -186,5 +186,5 @@ def test_a_lost_connection_ends_all(emulator, start):
 
 def test_the_keeper_loads_nothing_but_the_standard_library(emulator, start):
     driver = start("drives")
-    maps = (Path("/proc") / keeper_of(driver) / "maps").read_text()
+    maps = (Path("/proc") / watchdog_of(driver) / "maps").read_text()
     assert "site-packages" not in maps

@@ -12,8 +12,8 @@ whatever the controllers want, if it was when the robots stood. This holds exact
 that pass each other, whose nearest points move along them, it is a rule that experiments confirm.
 
 Zero is always allowed, so the filter never makes a command longer, never moves a robot that wants to rest, and never
-has to choose between two dangers. It does not push robots apart that are nearer than ``min_gap``, and it does not plan: two
-robots that want to change places stop in front of each other.
+has to choose between two dangers. It does not push robots apart that are nearer than ``min_gap``, and it does not plan:
+two robots that want to change places stop in front of each other.
 
 Noise. The median of each ray and its neighbours counts, so what one ray alone shows, near or far, does nothing.
 Otherwise no allowance is made: a side that many rays measure acts by its nearest one, so noise makes robots cautious.

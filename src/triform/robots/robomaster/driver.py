@@ -91,7 +91,7 @@ class RoboMaster:
             self._telemetry = Telemetry(robot.getsockname()[0], push_port, robot.getpeername()[0])
             try:
                 self.battery = self._enter(robot)
-                self._keeper, self._channel = self._start_keeper(robot)
+                self._process, self._channel = self._start_watchdog(robot)
             except BaseException:
                 self._telemetry.close()
                 raise
@@ -144,11 +144,11 @@ class RoboMaster:
         self._failure = self._failure or f"{self._name} is closed"
         self._channel.close()
         try:
-            self._keeper.wait(_PATIENCE)
+            self._process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             # Its end closes the connection, and a robot that has lost its connection stops by itself.
-            self._keeper.kill()
-            self._keeper.wait()
+            self._process.kill()
+            self._process.wait()
         self._telemetry.close()
 
     def _enter(self, robot: socket.socket) -> int | None:
@@ -178,7 +178,7 @@ class RoboMaster:
             raise RoboMasterError(f'{self._name} closed the connection at "{command}"; does another program drive it?')
         return " ".join(watchdog.answers(data))
 
-    def _start_keeper(self, robot: socket.socket) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    def _start_watchdog(self, robot: socket.socket) -> tuple[subprocess.Popen[bytes], socket.socket]:
         """Start the watchdog and hand it the connection."""
         ours, theirs = socket.socketpair()
         ends = robot.fileno(), theirs.fileno()
