@@ -149,13 +149,18 @@ def test_a_stopped_training_says_so_and_resumes(tmp_path: Path, stop: signal.Sig
 
 def test_the_first_command_says_that_it_compiles(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "triform", "evaluate", "--robots", "3", "--runs", "1", "--duration", "5"]
-    command += ["--controller", "expert"]
+    command += ["--controller", "expert", "--json", str(tmp_path / "out.json")]
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     environment["XDG_CACHE_HOME"] = str(tmp_path)
-    told = [
-        subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stderr for _ in range(2)
-    ]
+    told, took, simulated = [], [], []
+    for _ in range(2):
+        began = time.monotonic()
+        told.append(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stderr)
+        took.append(time.monotonic() - began)
+        simulated.append(json.loads((tmp_path / "out.json").read_text())["wall_seconds"])
     assert told == ["compiling kernels, once after an installation: about a minute\n", ""]
+    # What compiling takes is no time of simulating.
+    assert simulated[0] < (took[0] - took[1]) / 2
 
 
 def test_a_mistyped_command_is_guessed(capsys: pytest.CaptureFixture[str]) -> None:

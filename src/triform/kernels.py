@@ -47,6 +47,11 @@ def kernels_compiled() -> bool:
     return folder is not None and any(folder.rglob("*.nbi"))
 
 
+def kernels_were_compiled() -> bool:
+    """Whether the folder held compiled kernels when this process began."""
+    return _FOUND
+
+
 def _digest() -> str:
     """Digest of all modules with kernels or groups of their arguments, and of those whose constants they take."""
     package = Path(__file__).parent
@@ -112,3 +117,6 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
     def save_overload(self, signature: Any, data: Any) -> None:
         with suppress(OSError):
             super().save_overload(signature, data)
+
+
+_FOUND = kernels_compiled()

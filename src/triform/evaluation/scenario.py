@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -18,7 +20,7 @@ from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.runs import chunks, world_seeds
 from triform.robots.gazebo import GazeboBase, GazeboServer, GazeboTeam, braked
 from triform.simulation import Arena, Drive, Profile, SimulatedTeam, World, get_arena, get_profile, sample_starts
-from triform.types import SENSING_RANGE, BoolArray, Controller, FloatArray, IntArray, require
+from triform.types import SENSING_RANGE, BoolArray, ConfigurationError, Controller, FloatArray, IntArray, require
 
 SimulatorName = Literal["builtin", "gazebo"]
 SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "gazebo")
@@ -178,6 +180,21 @@ class Scenario:
                 parts.append((found.whole, self._measure_event(event, found, team)))
         trajectories, tables = zip(*parts, strict=True)
         return Trajectory.side_by_side(trajectories), concatenate(tables)
+
+    def warm_up(self, poses: FloatArray, controller: Controller[Any]) -> None:
+        """Compile the kernels of a run by a short one, so that the time of later runs is that of simulating.
+
+        Args:
+            poses: Starts, shape (B, N, 3) [m, m, rad].
+            controller: Steers; a copy, if it remembers what it saw.
+        """
+        if self.simulator != "builtin":
+            return
+        period = self.robot.control_period
+        short = replace(self, duration=math.ceil(WINDOW / period - 1e-9) * period, event=None)
+        # An arena may have no place for these starts, which whoever runs them is told.
+        with suppress(ConfigurationError):
+            short.run(poses, controller)
 
     def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence]) -> World:
         """Put robots at ``poses`` (B, N, 3) into B built-in worlds with their own noise.

@@ -6,9 +6,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
-from triform.control import POLICY, ControllerSpec, drive
+from triform.control import POLICY, ControllerSpec
 from triform.evaluation.metrics import summarise
 from triform.evaluation.scenario import Scenario
 from triform.experiments.grid import check_teams, describe, flat
@@ -70,7 +68,7 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     poses = scenario.sample_starts(config.robots, 1, config.seed, first=config.index)
     bar = listener.progress(f"{config.robots} robots, {scenario.duration:g} s", scenario.steps * config.robots)
     with limit_threads(config.threads), bar as advance:
-        warm_up(config)
+        scenario.warm_up(poses, scenario.make_controller(config.controller))
         began = time.perf_counter()
         trajectory, table = scenario.run(poses, controller, config.seed, [config.index], advance)
     took = time.perf_counter() - began
@@ -96,12 +94,3 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     for path in paths:
         listener.say(f"wrote {path}")
     return paths
-
-
-def warm_up(config: DemoConfig) -> None:
-    """Load or compile the kernels of a run, so that its time is that of the simulation alone."""
-    scenario = config.scenario
-    poses = scenario.sample_starts(config.robots, 1, config.seed, first=config.index)
-    if scenario.simulator == "builtin":
-        world = scenario.make_world(poses, [np.random.SeedSequence(0)])
-        drive(world, scenario.make_controller(config.controller), world.control_period)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import time
@@ -20,9 +21,12 @@ from triform.evaluation.metrics import RunTable, concatenate, summarise, wilson_
 from triform.evaluation.rollout import Trajectory
 from triform.evaluation.runs import Execution, by_group, chunks
 from triform.evaluation.scenario import Scenario
+from triform.geometry.cells import SMALL_TEAM
+from triform.kernels import kernels_were_compiled
 from triform.report.listener import SILENT, Listener
 from triform.report.output import plain
 from triform.report.tables import format_value, read_parquet, write_parquet
+from triform.simulation import sample_starts
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, FloatArray, IntArray, TriformError
 from triform.version import __version__
@@ -227,6 +231,14 @@ class Grid:
             self._write()
             yield waiting[number]
 
+    def warm_up(self) -> None:
+        """Compile the kernels that the cells need, each kind of controller with a small and a large team."""
+        kinds = {(_kind(cell), cell.robots > SMALL_TEAM): cell for cell in self.waiting}
+        for cell in kinds.values():
+            robots = min(cell.robots, SMALL_TEAM + 1)
+            poses = sample_starts(robots, 1, cell.seed, distance=cell.scenario.distance)
+            cell.scenario.warm_up(poses, copy.deepcopy(self.controller(cell)))
+
     def summaries(self) -> list[dict[str, Any]]:
         """Return the labels, measures, Wilson intervals and settings of every cell that is done."""
         return [self._summary(cell) for cell in self.done]
@@ -293,6 +305,8 @@ def measure_grid(
     """
     for name, reason in grid.skipped.items():
         listener.say(f"left out: {name}: {reason}")
+    if not kernels_were_compiled():
+        grid.warm_up()
     began = time.perf_counter()
     with (
         limit_threads(execution.threads),
