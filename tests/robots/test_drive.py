@@ -216,6 +216,8 @@ def test_a_recording_that_cannot_go_on_does_not_stop_the_robot(tmp_path: Path, m
 def test_a_signal_stops_the_wheels_and_shows_the_budget(
     number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if signal.getsignal(number) == signal.SIG_IGN:
+        pytest.skip("this process was started to ignore the signal")
     before, shown = signal.getsignal(number), io.StringIO()
     monkeypatch.setattr(FakeBase, "signal", number)
     with pytest.raises(SystemExit) as ended:
