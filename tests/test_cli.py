@@ -253,3 +253,13 @@ def test_ctrl_c_ends_every_long_command_in_one_sentence(arguments: list[str], tm
     assert child.returncode == 130
     assert errors.startswith("triform: interrupted")
     assert "Traceback" not in errors
+
+
+def test_output_that_finds_no_reader_ends_without_a_traceback() -> None:
+    program = f"{sys.executable} -m triform"
+    done = subprocess.run(
+        ["bash", "-c", f"for i in 1 2 3; do {program} evaluate --help | head -1; done"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr
+    assert done.stdout.count("usage: triform evaluate") == 3

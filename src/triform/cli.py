@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -134,6 +135,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"triform: {given[0]} needs {package}, which the extra {extra!r} installs: pip install 'triform[{extra}]', "
             f"or in a checkout pip install '.[{extra}]'\n"
         )
+        return 1
+    except BrokenPipeError:
+        # Whoever read the output has seen enough; what is still in buffers has no reader either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except KeyboardInterrupt:
         sys.stderr.write("triform: interrupted; files written so far are kept; train goes on with --resume\n")

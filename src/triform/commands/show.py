@@ -26,7 +26,7 @@ class Show:
         name: Profile or arena to print as TOML, to start from: a name or a TOML file; a table of all if omitted.
     """
 
-    what: Annotated[Literal["profile", "arena", "controllers", "policies"], tyro.conf.Positional]
+    what: Annotated[Literal["profile", "arena", "controllers", "policies"], tyro.conf.Positional] = "profile"
     name: Annotated[str | None, tyro.conf.Positional] = None
 
     def __post_init__(self) -> None:

@@ -39,7 +39,7 @@ class Arena:
             object.__setattr__(self, name, values)
         lengths = np.hypot(self.walls[:, 2] - self.walls[:, 0], self.walls[:, 3] - self.walls[:, 1])
         require(bool((lengths > 0).all()), "a wall has no length; its two ends must differ")
-        require(bool((self.pillars[:, 2] > 0).all()), "a pillar's radius must be positive")
+        require(bool((self.pillars[:, 2] > 0).all()), "the radius of a circle must be positive")
 
     @classmethod
     def open(cls) -> Arena:

@@ -21,7 +21,7 @@ def read_arena(path: Path) -> Arena:
     top.known("name", "walls", "circles", "boxes")
     walls = top.rows("walls", 4, "x1, y1, x2, y2 [m]")
     circles = top.rows("circles", 3, "x, y, radius [m]")
-    for box in top.tables("boxes"):
+    for box in top.tables("boxes", "[{ center = [1, 2], length = 2.0, width = 1.0 }]"):
         walls += _sides(box).tolist()
     tables = np.array(walls).reshape(-1, 4), np.array(circles).reshape(-1, 3)
     try:
@@ -56,7 +56,7 @@ def arena_toml(arena: Arena) -> str:
         f"walls = {_rows(arena.walls)}",
         "# Solid circles x, y, radius [m].",
         f"circles = {_rows(arena.pillars)}",
-        "# Boxes are tables: [[boxes]] with center = [x, y], length, width [m] and heading [rad].",
+        "# A box is four walls: [[boxes]] with center = [x, y], length, width [m] and heading [rad].",
     ]
     return "\n".join(lines) + "\n"
 

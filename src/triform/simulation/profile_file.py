@@ -49,7 +49,7 @@ def _lidar(table: TomlTable) -> LidarConfig:
     scan, ideal = ScanConfig(), LidarConfig()
     table.known("rays", "angle_min", "range_min", "range_max", "period", "rolling", "dropout", "angle_noise", "noise")
     bands = []
-    for band in table.tables("noise"):
+    for band in table.tables("noise", "[{ up_to = inf, absolute = 0.01 }]"):
         band.known("up_to", "absolute", "relative")
         values = band.number("up_to", float("inf")), band.number("absolute", 0.0), band.number("relative", 0.0)
         try:

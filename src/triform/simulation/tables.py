@@ -94,11 +94,11 @@ class TomlTable:
                 raise self.wrong(key, row, f"rows of {columns} numbers are needed: {what}")
         return [[float(number) for number in row] for row in value]
 
-    def tables(self, key: str) -> list[TomlTable]:
+    def tables(self, key: str, example: str) -> list[TomlTable]:
         """Return the tables of a list, none if the file has no such key."""
         value = self.values.get(key, [])
         if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
-            raise self.wrong(key, value, "a list of tables is needed")
+            raise self.wrong(key, value, f"a list of tables is needed, such as {example}")
         return [TomlTable(self.path, each, f"{self._name(key)}[{index}]") for index, each in enumerate(value)]
 
     def wrong(self, key: str, value: Any, needed: str) -> ConfigurationError:
