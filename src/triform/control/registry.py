@@ -46,7 +46,8 @@ class ControllerSpec:
             not colon or head not in CONTROLLERS,
             f"the name of a controller is {name!r}; it is {head!r}, with the weights {rest!r} beside it",
         )
-        require(not name.endswith(".py"), f"the controller {name!r} names no class; write {name}:CLASS")
+        file = name.removesuffix(":")
+        require(not file.endswith(".py"), f"the controller {file!r} names no class; write {file}:CLASS")
         if name not in CONTROLLERS and not _names_class(name):
             # The sentence names all that there are.
             known = dict.fromkeys((*CONTROLLERS, *installed_controllers()))
