@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from triform.evaluation.placement import sample_clear_addition
 from triform.evaluation.rollout import Trajectory, rollout
-from triform.evaluation.runs import world_seeds
-from triform.simulation import SimulatedTeam, sample_starts
+from triform.simulation import SimulatedTeam, sample_starts, world_seeds
 from triform.types import (
     SENSING_RANGE,
     ConfigurationError,
@@ -71,16 +70,16 @@ class Event:
             ConfigurationError: The text says something else.
         """
         kind, at, seconds = text.partition("@")
-        if kind not in EVENTS:
-            raise ConfigurationError(f"event is {kind!r}; allowed are {', '.join(EVENTS)}")
+        event = cls(kind)  # type: ignore[arg-type]
+        if not at:
+            return event
         try:
-            return cls(kind, float(seconds)) if at else cls(kind)
-        except ValueError as error:
-            if isinstance(error, ConfigurationError):
-                raise
+            time = float(seconds)
+        except ValueError:
             raise ConfigurationError(
                 f"event {text!r} has no time after the @; write seconds, as in {kind}@15"
             ) from None
+        return replace(event, time=time)
 
     @property
     def label(self) -> str:

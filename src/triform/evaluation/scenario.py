@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -17,9 +18,20 @@ from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.rollout import Trajectory, rollout
-from triform.evaluation.runs import chunks, world_seeds
+from triform.evaluation.runs import chunks
+from triform.kernels import kernels_were_compiled
 from triform.robots.gazebo import GazeboBase, GazeboServer, GazeboTeam, braked
-from triform.simulation import Arena, Drive, Profile, SimulatedTeam, World, get_arena, get_profile, sample_starts
+from triform.simulation import (
+    Arena,
+    Drive,
+    Profile,
+    SimulatedTeam,
+    World,
+    get_arena,
+    get_profile,
+    sample_starts,
+    world_seeds,
+)
 from triform.types import SENSING_RANGE, BoolArray, ConfigurationError, Controller, FloatArray, IntArray, require
 
 SimulatorName = Literal["builtin", "gazebo"]
@@ -182,19 +194,19 @@ class Scenario:
         return Trajectory.side_by_side(trajectories), concatenate(tables)
 
     def warm_up(self, poses: FloatArray, controller: Controller[Any]) -> None:
-        """Compile the kernels of a run by a short one, so that the time of later runs is that of simulating.
+        """Compile the kernels of a run by a short one, unless they are kept, so that later runs do not wait for it.
 
         Args:
             poses: Starts, shape (B, N, 3) [m, m, rad].
-            controller: Steers; a copy, if it remembers what it saw.
+            controller: Steers; what it remembers afterwards is what it remembered before.
         """
-        if self.simulator != "builtin":
+        if self.simulator != "builtin" or kernels_were_compiled():
             return
         period = self.robot.control_period
         short = replace(self, duration=math.ceil(WINDOW / period - 1e-9) * period, event=None)
-        # An arena may have no place for these starts, which whoever runs them is told.
+        # An arena may have no place for these starts; the run itself then says so.
         with suppress(ConfigurationError):
-            short.run(poses, controller)
+            short.run(poses, copy.deepcopy(controller))
 
     def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence]) -> World:
         """Put robots at ``poses`` (B, N, 3) into B built-in worlds with their own noise.
