@@ -15,8 +15,9 @@ from triform.evaluation import runs as runs_module
 from triform.evaluation.metrics import summarise, wilson_interval
 from triform.evaluation.runs import Execution
 from triform.experiments import grid as measured
+from triform.experiments.cell import Cell
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.experiments.grid import Cell, Grid, measure_grid, spread_out
+from triform.experiments.grid import Grid, measure_grid, spread_out
 from triform.experiments.settings import digest
 from triform.types import TriformError
 

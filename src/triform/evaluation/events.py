@@ -33,14 +33,8 @@ MEETING_GAP = 1.9
 #: Length of a push, in units of d*.
 PUSH_LENGTH = 0.7
 
-#: Random streams of the worlds and of the events: (2, 3) for teams that change, (4, 5) for the other events.
-_STREAMS: dict[EventKind, tuple[int, int]] = {
-    "join": (2, 3),
-    "leave": (2, 3),
-    "push": (4, 5),
-    "stuck": (4, 5),
-    "meet": (4, 5),
-}
+#: Random streams of the worlds and of the events.
+_STREAMS: dict[EventKind, tuple[int, int]] = dict.fromkeys(EVENTS, (4, 5)) | {"join": (2, 3), "leave": (2, 3)}
 _MEETING_STREAM = 6
 
 

@@ -119,16 +119,17 @@ class Scenario:
         """Control periods in one run."""
         return control_steps(self.duration, self.robot.control_period)
 
-    def make_controller(self, controller: str | ControllerSpec = "policy") -> Controller[Any]:
+    def make_controller(self, controller: Controller[Any] | str | ControllerSpec = "policy") -> Controller[Any]:
         """Make a controller for these robots, behind the safety filter unless ``guard`` is off.
+
+        Args:
+            controller: The name of one, or one without its filter; one that has a filter already stays as it is.
 
         Raises:
             TriformError: There is no such controller, or its weights cannot be used.
         """
-        return self.filtered(make_controller(controller, self.distance, footprint=self.robot.footprint.size))
-
-    def filtered(self, controller: Controller[Any]) -> Controller[Any]:
-        """Put the safety filter of this scenario behind a controller; one that has a filter already stays as it is."""
+        if isinstance(controller, str | ControllerSpec):
+            controller = make_controller(controller, self.distance, footprint=self.robot.footprint.size)
         if not self.guard or isinstance(controller, SafetyFilter):
             return controller
         robot, drive, lidar = self.robot, self.drive_limits, self.robot.lidar
@@ -172,11 +173,7 @@ class Scenario:
             ConfigurationError: The arena has no place for a start.
             TriformError: Gazebo is missing or fails, or the controller does.
         """
-        driver = (
-            self.make_controller(controller)
-            if isinstance(controller, str | ControllerSpec)
-            else self.filtered(controller)
-        )
+        driver = self.make_controller(controller)
         robots, event = poses.shape[1], self.event
         numbers = np.arange(len(poses)) if indices is None else np.asarray(indices)
         seeds = world_seeds(robots, seed, numbers, *([] if event is None else [event.world_stream]))
@@ -266,13 +263,9 @@ class Scenario:
             yield slice(0, len(poses)), self.make_world(poses, seeds)
             return
         self.check_starts(poses)
-        spare = 1 if self.event is not None and self.event.kind == "join" else 0
-        settings: dict[str, Any] = {
-            "drive": self.gazebo_base,
-            "time_step": GAZEBO_STEPS[self.gazebo_base],
-            "spare": spare,
-        }
-        with GazeboServer(self.robot, self.surroundings, poses.shape[1], **settings) as server:
+        spare, step = int(self.event is not None and self.event.kind == "join"), GAZEBO_STEPS[self.gazebo_base]
+        robots, base = poses.shape[1], self.gazebo_base
+        with GazeboServer(self.robot, self.surroundings, robots, drive=base, time_step=step, spare=spare) as server:
             for index in range(len(poses)):
                 run = slice(index, index + 1)
                 yield run, GazeboTeam(server, poses[run], seeds[run])

@@ -13,7 +13,8 @@ from triform.control import Triangulating, TriangulatingLaw
 from triform.control.triangulating import BLOCKING_RADIUS
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
-from triform.experiments.grid import Cell, measure_in_folder, open_grid, spread_out
+from triform.experiments.cell import Cell
+from triform.experiments.grid import measure_in_folder, open_grid, spread_out
 from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, check_teams, for_team
 from triform.figures.grids import ablation_figure
 from triform.figures.style import save_figure

@@ -10,7 +10,8 @@ from typing import Any
 from triform.control import ControllerSpec
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
-from triform.experiments.grid import Cell, Grid, measure_in_folder, open_grid, spread_out
+from triform.experiments.cell import Cell
+from triform.experiments.grid import Grid, measure_in_folder, open_grid, spread_out
 from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, check_teams, for_team
 from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
@@ -23,6 +24,10 @@ _NAME = "compare"
 #: The profile of the second group of team sizes, like the paper's real robots.
 REAL_PROFILE = "hardware"
 
+_CONTROLLERS = (
+    "policy:default", "policy:short", "policy:cnn", "gnn:gnn", "policy:paper", "policy:large", "scan-pipeline",
+    "scan-triangulating", "expert", "expert-sensed", "expert-odd", "triangulating",
+)  # fmt: skip
 #: Title, key in a summary, format and explanation of the tables that follow the first one.
 _TABLES = (
     ("Success", "success", "%", "Share of runs whose formation error, averaged over the last 5 s, is below 10 %."),
@@ -50,25 +55,7 @@ class CompareConfig:
         execution: Where the runs are computed.
     """
 
-    controllers: tuple[ControllerSpec, ...] = tuple(
-        map(
-            ControllerSpec.parse,
-            (
-                "policy:default",
-                "policy:short",
-                "policy:cnn",
-                "gnn:gnn",
-                "policy:paper",
-                "policy:large",
-                "scan-pipeline",
-                "scan-triangulating",
-                "expert",
-                "expert-sensed",
-                "expert-odd",
-                "triangulating",
-            ),
-        )
-    )
+    controllers: tuple[ControllerSpec, ...] = tuple(map(ControllerSpec.parse, _CONTROLLERS))
     robots: tuple[int, ...] = (5, 7, 9, 11, 13, 25, 50, 100)
     hardware_robots: tuple[int, ...] = (4, 5, 7, 9)
     runs: int = 100

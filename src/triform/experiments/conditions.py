@@ -16,7 +16,8 @@ from triform.evaluation.metrics import RunTable
 from triform.evaluation.overrides import Overrides
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
-from triform.experiments.grid import Cell, Grid, measure_in_folder, open_grid, read_labels
+from triform.experiments.cell import Cell
+from triform.experiments.grid import Grid, measure_in_folder, open_grid, read_labels
 from triform.experiments.settings import check_teams, for_team
 from triform.figures.grids import FailedRun, conditions_figure, failures_figure
 from triform.figures.runs import Scene

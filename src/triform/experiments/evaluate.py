@@ -12,7 +12,8 @@ from triform.control import POLICY, ControllerSpec
 from triform.engines import Engine
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
-from triform.experiments.grid import Cell, Grid, Starts, measure_grid
+from triform.experiments.cell import Cell, Starts
+from triform.experiments.grid import Grid, measure_grid
 from triform.experiments.settings import check_teams, describe, flat
 from triform.report.listener import SILENT, Listener
 from triform.report.results import Evaluation, ResultFiles, show_results

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -44,7 +44,7 @@ from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, PrivilegedView, require
 
 What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "all"]
-KEYS = ["table1", "fig2", "fig3", "fig4", "fig5", "fig9"]
+KEYS = [key for key in get_args(What) if key != "all"]
 SIZES = tuple(paper.SUCCESS)
 #: Team sizes of Fig. 2.
 SNAPSHOT_SIZES = (9, 13)
@@ -170,7 +170,7 @@ def _write(config: ReproduceConfig, key: str, result: Result) -> Section:
     write_parquet(config.output / f"{key}.parquet", result.runs)
     files = [f"{key}.json", f"{key}.parquet"]
     section = Section(key, result.title, result.text, config.command(key), *result.table, image, files)
-    write_json(config.output / f"{key}.json", result.values | {"section": section.as_json()})
+    write_json(config.output / f"{key}.json", result.values | {"section": asdict(section)})
     return section
 
 
@@ -183,14 +183,8 @@ class _Reproduction:
         self.engine = engine
         scenario = config.scenario
         self.scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
-        makers: dict[str, Callable[[], Result]] = {
-            "table1": self.table_1,
-            "fig2": self.figure_2,
-            "fig3": self.figure_3,
-            "fig4": self.figure_4,
-            "fig5": self.figure_5,
-            "fig9": self.figure_9,
-        }
+        methods = (self.table_1, self.figure_2, self.figure_3, self.figure_4, self.figure_5, self.figure_9)
+        makers: dict[str, Callable[[], Result]] = dict(zip(KEYS, methods, strict=True))
         self.makers = makers if config.what == "all" else {config.what: makers[config.what]}
         # Names and weights that cannot be used are found now, not after hours.
         self.controller: Controller[PrivilegedView] = scenario.make_controller(config.controller)

@@ -31,7 +31,7 @@ from triform.geometry import edge_error, gabriel_graph
 from triform.types import FloatArray
 
 _PIXELS = 520
-#: A GIF has 256 colours: greys, and tints for so many robots.
+#: A GIF has 256 colours: 32 greys, and 8 tints for each of 28 robots.
 _GREYS = 32
 _TINTS = (1.0, 0.85, 0.7, 0.55, 0.45, 0.35, 0.25, 0.12)
 _COLOURED = 28

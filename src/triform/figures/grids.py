@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 from triform.evaluation.rollout import Trajectory
 from triform.figures.runs import Scene, draw_trajectories
 from triform.figures.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, VERMILLION, figure_style
+from triform.types import FloatArray
 
 _COLUMNS = 4
 _COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, GREY)
@@ -87,13 +88,12 @@ def _draw_condition(
             continue
         # Side by side, because many values are equal.
         aside = 0.11 * (index - (len(drawn) - 1) / 2)
-        rates = np.array([100 * summary[measure] for summary in own])
-        low, high = 100 * np.array([summary[f"{measure}_interval"] for summary in own]).T
+        rates, bars = _rates(own, measure)
         strict = measure == "strict"
         axes.errorbar(
             [labels.index(summary["label"]) + aside for summary in own],
             rates,
-            yerr=np.maximum(0.0, [rates - low, high - rates]),
+            yerr=bars,
             color=INK if size is None else colours[size],
             marker="o" if strict else "s",
             mfc=None if strict else "white",
@@ -110,6 +110,13 @@ def _draw_condition(
     axes.set_ylim(0, 102)
     axes.set_title(heading, loc="left")
     axes.grid(visible=False, axis="x")
+
+
+def _rates(summaries: Sequence[dict[str, Any]], measure: str) -> tuple[FloatArray, FloatArray]:
+    """Return rates (K,) and the lengths of their bars, below and above (2, K) [%]."""
+    rates = np.array([100 * summary[measure] for summary in summaries])
+    low, high = 100 * np.array([summary[f"{measure}_interval"] for summary in summaries]).T
+    return rates, np.maximum(0.0, [rates - low, high - rates])
 
 
 def _of_size(summaries: Sequence[dict[str, Any]], size: int) -> list[dict[str, Any]]:
@@ -152,11 +159,10 @@ def ablation_figure(summaries: Sequence[dict[str, Any]], labels: Sequence[str]) 
             own = [summary for summary in summaries if summary["robots"] == size]
             places = np.array([labels.index(summary["label"]) for summary in own])
             for measure, marker, colour, filling, aside in _ABLATION_MEASURES:
-                rates = np.array([100 * summary[measure] for summary in own])
-                low, high = 100 * np.array([summary[f"{measure}_interval"] for summary in own]).T
+                rates, bars = _rates(own, measure)
                 axes.errorbar(
-                    rates, places + aside, xerr=np.maximum(0.0, [rates - low, high - rates]), ls="none", marker=marker,
-                    ms=4, color=colour, mfc=filling, elinewidth=0.8, clip_on=False, zorder=3, label=measure,
+                    rates, places + aside, xerr=bars, ls="none", marker=marker, ms=4, color=colour, mfc=filling,
+                    elinewidth=0.8, clip_on=False, zorder=3, label=measure,
                 )  # fmt: skip
             for summary in own:
                 if summary["label"] == labels[0]:

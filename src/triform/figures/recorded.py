@@ -19,7 +19,7 @@ from triform.figures.runs import Scene, draw_distances, draw_error, draw_traject
 from triform.figures.style import bounds, figure_style, footprint_outlines, heading_marks, robot_colours, save_figure
 from triform.simulation import Arena, Footprint
 
-#: Fig. 7 and 8 show the first so many runs, so many side by side.
+#: Fig. 7 and 8 show the first 8 runs, 4 side by side.
 SHOWN, _COLUMNS = 8, 4
 
 
@@ -82,7 +82,7 @@ def figure_8(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
 
 
 def _panels(count: int, height: float, parts: int = 1) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure with so many panels, in blocks of ``parts`` rows of ``height`` [inch], and the panels by part."""
+    """Return a figure of ``count`` panels, in blocks of ``parts`` rows of ``height`` [inch], and its panels by part."""
     columns = min(count, _COLUMNS)
     blocks = -(-count // columns)
     figure, grid = plt.subplots(

@@ -7,7 +7,7 @@ import html
 import json
 import shlex
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +43,6 @@ class Section:
     rows: list[list[str]]
     image: str
     files: list[str]
-
-    def as_json(self) -> dict[str, object]:
-        """Return plain JSON values."""
-        return asdict(self)
 
 
 def spell_command(words: list[str], config: Any, never: Collection[str] = ("output",)) -> str:
