@@ -7,7 +7,6 @@ import socket
 import threading
 import time
 from collections import deque
-from types import TracebackType
 
 import numpy as np
 
@@ -85,9 +84,7 @@ class RoboMasterEmulator:
     def __enter__(self) -> RoboMasterEmulator:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
