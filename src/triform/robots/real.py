@@ -10,33 +10,15 @@ from typing import Protocol
 
 import numpy as np
 
+from triform.robots.laser_scan import Turn
 from triform.simulation import Drive, limit_twists
 from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
 from triform.simulation.odometry import relative_poses, resting_poses
-from triform.types import FloatArray, RangeArray, Scan, ScanConfig, TriformError, View, require
+from triform.types import FloatArray, Scan, ScanConfig, TriformError, View, require
 
 #: A robot's velocity is taken over this long [s].
 _SPEED_TIME = 0.1
 _ONE = np.ones((1, 1), dtype=np.bool_)
-
-
-class Turn(Protocol):
-    """One finished turn of a LiDAR."""
-
-    @property
-    def ranges(self) -> RangeArray:
-        """Ranges on a fixed grid, shape (R,) [m]; REP 117 for what is no range."""
-        ...
-
-    @property
-    def started(self) -> float:
-        """When the first ray was measured, by the host's monotonic clock [s]."""
-        ...
-
-    @property
-    def ended(self) -> float:
-        """When the last ray was measured, by the same clock [s]."""
-        ...
 
 
 class Lidar(Protocol):
