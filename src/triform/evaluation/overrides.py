@@ -10,7 +10,7 @@ import numpy as np
 from triform.simulation import Drive, Footprint, LidarConfig, Profile, constant_noise
 from triform.types import SENSING_RANGE, require
 
-Config = TypeVar("Config", Profile, LidarConfig, Drive)
+Settings = TypeVar("Settings", LidarConfig, Drive, Profile)
 
 #: How far a LiDAR reaches at most [m]; a robot uses 2 d* of it.
 LIDAR_REACH = 8.0
@@ -61,17 +61,17 @@ class Overrides:
         Raises:
             ConfigurationError: There is no such footprint.
         """
-        drive = _replaced(profile.drive, max_speed=self.speed_limit, max_acceleration=self.acceleration, lag=self.lag)
         noise = self.range_noise
-        lidar = _replaced(
+        lidar = _given(
             profile.lidar,
             scan=replace(profile.lidar.scan, range_max=SENSING_RANGE * distance),
             noise=None if noise is None else constant_noise(noise) if noise > 0 else (),
             dropout=self.dropout,
             period=None if self.scan_rate is None else 1 / self.scan_rate,
         )
+        drive = _given(profile.drive, max_speed=self.speed_limit, max_acceleration=self.acceleration, lag=self.lag)
         in_step = profile.control_period == profile.lidar.period
-        return _replaced(
+        return _given(
             profile,
             footprint=None if self.footprint is None else Footprint.parse(self.footprint),
             lidar=lidar,
@@ -82,6 +82,6 @@ class Overrides:
         )
 
 
-def _replaced(config: Config, **values: Any) -> Config:
-    """Return a configuration with the values that are not ``None``."""
-    return replace(config, **{name: value for name, value in values.items() if value is not None})
+def _given(settings: Settings, **values: Any) -> Settings:
+    """Return settings with the values that are not ``None`` in place of their own."""
+    return replace(settings, **{name: value for name, value in values.items() if value is not None})
