@@ -64,7 +64,7 @@ class Train:
 
         from triform.dataset import load_manifest
         from triform.simulation import get_profile
-        from triform.training import get_preset, train
+        from triform.training import PRESETS, train
         from triform.training.processes import launched
 
         if not launched().first:
@@ -72,10 +72,8 @@ class Train:
         if self.threads < 1:
             raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
         torch.set_num_threads(self.threads)
-        preset, given = (
-            get_preset(self.preset),
-            given_options(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision"),
-        )
+        preset = PRESETS[self.preset]
+        given = given_options(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision")
         if self.data is not None and self.teacher is None and preset.scenes is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(preset, **given)
