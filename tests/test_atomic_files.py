@@ -43,6 +43,6 @@ def test_a_lock_that_the_system_refuses_is_said(tmp_path: Path, monkeypatch: pyt
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(files.fcntl, "flock", refuse)
+    monkeypatch.setattr("fcntl.flock", refuse)
     with pytest.raises(TriformError, match="No locks available"), files.exclusive(tmp_path):
         pass
