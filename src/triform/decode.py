@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 import reprlib
 import types
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from triform.files import sha256
 from triform.types import ConfigurationError, TriformError, require
 
 Decoded = TypeVar("Decoded")
 
+#: Nothing that is written here nests deeper.
+_DEEPEST = 50
 _NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", dict: "an object"}
 
 
@@ -26,11 +30,26 @@ def decode_json(data: bytes, source: str) -> Any:
         TriformError: If it is no JSON, or nests too deeply to be read.
     """
     try:
-        return json.loads(data)
+        values = json.loads(data)
+        deep = _nests(values, _DEEPEST)
     except RecursionError:
-        raise TriformError(f"{source} cannot be read: its lists or objects nest too deeply") from None
+        deep = True
     except ValueError as error:
         raise TriformError(f"{source} cannot be read: {error}") from error
+    if deep:
+        raise TriformError(f"{source} cannot be read: its lists or objects nest too deeply")
+    return values
+
+
+def _nests(value: Any, levels: int) -> bool:
+    """Whether lists and objects lie in each other deeper than some levels."""
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels == 0 or any(_nests(each, levels - 1) for each in parts)
+
+
+def checksum(values: Mapping[str, Any]) -> str:
+    """Checksum of all that a JSON object holds, whatever the order of its keys and the white space between them."""
+    return sha256(json.dumps(values, sort_keys=True).encode())
 
 
 def decode_dataclass(kind: type[Decoded], values: object, name: str) -> Decoded:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import glob
 import hashlib
 import os
 import secrets
@@ -27,7 +28,7 @@ def write_atomically(path: Path, data: bytes) -> None:
     """
     temporary = None
     try:
-        _remove_leftovers(path.parent, f".{path.name}.*.tmp")
+        _remove_leftovers(path.parent, f".{glob.escape(path.name)}.*.tmp")
         temporary, file = _open_temporary(path)
         with file:
             file.write(data)

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from triform.decode import decode_fields, decode_json
+from triform.decode import checksum, decode_fields, decode_json
 from triform.files import exclusive, make_folder, remove_temporaries, sha256, write_atomically
 from triform.policy.config import GnnConfig, Network, describe_network, read_network
 from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError, require
@@ -134,7 +134,7 @@ class PolicySpec:
     def to_json(self) -> str:
         """Serialise to JSON, with a checksum of all that it says."""
         described = json.loads(json.dumps({**asdict(self), "network": describe_network(self.network)}))
-        head = {"format": _FORMAT, "version": _VERSION, "sha256": _checksum(described)}
+        head = {"format": _FORMAT, "version": _VERSION, "sha256": checksum(described)}
         return json.dumps({**head, **described}, indent=2) + "\n"
 
     @classmethod
@@ -150,18 +150,13 @@ class PolicySpec:
         version = described.pop("version", None)
         if type(version) is not int or not 1 <= version <= _VERSION:
             raise TriformError(f"{source} has version {version!r}; this triform reads versions 1 to {_VERSION}")
-        if version == _VERSION and described.pop("sha256", None) != _checksum(described):
+        if version == _VERSION and described.pop("sha256", None) != checksum(described):
             raise TriformError(f"{source} is damaged or was changed by hand: its checksum differs")
         try:
             network = read_network(described.pop("network", None))
             return cls(network, **decode_fields(cls, described, "it"))
         except (ConfigurationError, TypeError) as error:
             raise TriformError(f"{source} is not a readable policy description: {error}") from error
-
-
-def _checksum(described: dict[str, Any]) -> str:
-    """Checksum of all values of a description, whatever their order and the white space between them."""
-    return sha256(json.dumps(described, sort_keys=True).encode())
 
 
 def read_spec(folder: Path) -> PolicySpec:
