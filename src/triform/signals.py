@@ -18,7 +18,7 @@ class StopSignals:
     def __init__(
         self,
         always: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM),
-        unless_ignored: Sequence[signal.Signals] = (signal.SIGHUP,),
+        unless_ignored: Sequence[signal.Signals] = tuple(each for each in signal.Signals if each.name == "SIGHUP"),
     ) -> None:
         """Note nothing yet.
 
