@@ -21,8 +21,11 @@ from triform.simulation import Arena, Footprint
 from triform.simulation.ray_kernels import Scene
 from triform.simulation.world_kernels import Contacts, record_contacts
 from triform.threads import limit_threads
-from triform.types import require
+from triform.types import TriformError, require
 from triform.version import __version__
+
+#: Robots are not farther from their neighbours, or closer to them, than the prescribed distance by this factor.
+_SCALE = 30.0
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,7 @@ def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluatio
         for path in config.files:
             for recording in read_recordings(path, config.rate, config.start, config.end):
                 which = {"run": np.array([len(recordings)]), "recording": np.array([recording.label])}
+                _refuse_scale(recording, config.distance)
                 overlap = np.array([any_overlap(recording.trajectory, config.outline)])
                 tables.append(which | measure(recording.trajectory, config.distance, collision=overlap))
                 recordings.append(recording)
@@ -143,6 +147,18 @@ def _write(
             trajectories = [recording.trajectory for recording in recordings]
             written += draw_recorded(trajectories, evaluation.runs, config.outline, config.distance, config.figures)
     return written
+
+
+def _refuse_scale(recording: Recording, distance: float) -> None:
+    """Refuse positions that cannot be in metres: at the end, robots are far from their prescribed distance [m]."""
+    last = recording.trajectory.poses[0, -1, :, :2][recording.trajectory.active[0, -1]]
+    apart = np.linalg.norm(last[:, None] - last, axis=2) + np.where(np.eye(len(last)), np.inf, 0.0)
+    nearest = float(np.median(apart.min(axis=1))) if len(last) > 1 else distance
+    if not distance / _SCALE < nearest < distance * _SCALE:
+        raise TriformError(
+            f"{recording.label}: at the end robots are {nearest:.4g} m from their nearest one, and distance is "
+            f"{distance:g} m; positions and distance in metres are needed"
+        )
 
 
 def any_overlap(trajectory: Trajectory, footprint: Footprint) -> bool:
