@@ -13,6 +13,7 @@ from triform.simulation.kinematics import (
     wheel_speeds,
 )
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
+from triform.simulation.mounting import Mounting, Placement, read_sectors
 from triform.simulation.profile_file import profile_toml
 from triform.simulation.profiles import (
     FOOTPRINTS,
@@ -44,7 +45,9 @@ __all__ = [
     "Drive",
     "Footprint",
     "LidarConfig",
+    "Mounting",
     "NoiseBand",
+    "Placement",
     "Profile",
     "SimulatedTeam",
     "World",
@@ -65,6 +68,7 @@ __all__ = [
     "make_world",
     "noise_sigma",
     "profile_toml",
+    "read_sectors",
     "sample_addition",
     "sample_starts",
     "square_side",

@@ -9,7 +9,7 @@ import numpy as np
 
 from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
 from triform.kernels import kernel
-from triform.simulation.ray_kernels import body_reach, see_box, see_circle, see_wall
+from triform.simulation.ray_kernels import see_box, see_circle, see_wall, sight_reach
 
 
 @kernel(inline="always")
@@ -22,6 +22,8 @@ def _see_robot(
     half_width: float,
     is_circle: bool,
     limit: float,
+    eye_x: float,
+    eye_y: float,
     angle_min: float,
     range_min: float,
     range_max: float,
@@ -35,7 +37,7 @@ def _see_robot(
     if dx * dx + dy * dy > limit:
         return
     cos, sin = axes[i, 0], axes[i, 1]
-    x, y = cos * dx + sin * dy, cos * dy - sin * dx
+    x, y = cos * dx + sin * dy - eye_x, cos * dy - sin * dx - eye_y
     if is_circle:
         see_circle(x, y, half_length, angle_min, range_min, range_max, cos_rays, sin_rays, row)
     else:
@@ -64,6 +66,8 @@ def _see_arena(
     axes: Any,
     walls: Any,
     pillars: Any,
+    eye_x: float,
+    eye_y: float,
     angle_min: float,
     range_min: float,
     range_max: float,
@@ -77,10 +81,10 @@ def _see_arena(
         x1, y1 = walls[w, 0] - poses[i, 0], walls[w, 1] - poses[i, 1]
         x2, y2 = walls[w, 2] - poses[i, 0], walls[w, 3] - poses[i, 1]
         see_wall(
-            cos * x1 + sin * y1,
-            cos * y1 - sin * x1,
-            cos * x2 + sin * y2,
-            cos * y2 - sin * x2,
+            cos * x1 + sin * y1 - eye_x,
+            cos * y1 - sin * x1 - eye_y,
+            cos * x2 + sin * y2 - eye_x,
+            cos * y2 - sin * x2 - eye_y,
             angle_min,
             range_min,
             range_max,
@@ -91,8 +95,8 @@ def _see_arena(
     for p in range(pillars.shape[0]):
         dx, dy = pillars[p, 0] - poses[i, 0], pillars[p, 1] - poses[i, 1]
         see_circle(
-            cos * dx + sin * dy,
-            cos * dy - sin * dx,
+            cos * dx + sin * dy - eye_x,
+            cos * dy - sin * dx - eye_y,
             pillars[p, 2],
             angle_min,
             range_min,
@@ -119,17 +123,19 @@ def cast_robot(i: int, poses: Any, active: Any, scene: Any, scan: Any, axes: Any
     """
     body, walls, pillars = scene
     half_length, half_width, is_circle = body
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
-    limit = (range_max + body_reach(body)) ** 2
+    angle_min, range_min, range_max, cos_rays, sin_rays, eye_x, eye_y = scan
+    limit = sight_reach(scan, body) ** 2
     row[:] = math.inf
     for j in range(active.shape[0]):
         if j != i and active[j]:
             _see_robot(
-                i, j, poses, axes, half_length, half_width, is_circle, limit,
+                i, j, poses, axes, half_length, half_width, is_circle, limit, eye_x, eye_y,
                 angle_min, range_min, range_max, cos_rays, sin_rays, row,
             )  # fmt: skip
     if walls.shape[0] + pillars.shape[0] > 0:
-        _see_arena(i, poses, axes, walls, pillars, angle_min, range_min, range_max, cos_rays, sin_rays, row)
+        _see_arena(
+            i, poses, axes, walls, pillars, eye_x, eye_y, angle_min, range_min, range_max, cos_rays, sin_rays, row
+        )  # fmt: skip
 
 
 @kernel
@@ -162,8 +168,8 @@ def cast_cells(world: Any, cells: Any, poses: Any, axes: Any, scene: Any, scan: 
     robots, _, parts, _ = world
     body, walls, pillars = scene
     half_length, half_width, is_circle = body
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
-    limit = (range_max + body_reach(body)) ** 2
+    angle_min, range_min, range_max, cos_rays, sin_rays, eye_x, eye_y = scan
+    limit = sight_reach(scan, body) ** 2
     stack, near = np.empty(SEARCH_DEPTH, dtype=np.int64), np.empty(robots.shape[0], dtype=np.int64)
     for cell in cells:
         number = find_near(world, cell, limit, stack, near)
@@ -173,12 +179,13 @@ def cast_cells(world: Any, cells: Any, poses: Any, axes: Any, scene: Any, scan: 
             for k in range(number):
                 if near[k] != own:
                     _see_robot(
-                        own, near[k], poses, axes, half_length, half_width, is_circle, limit,
+                        own, near[k], poses, axes, half_length, half_width, is_circle, limit, eye_x, eye_y,
                         angle_min, range_min, range_max, cos_rays, sin_rays, row,
                     )  # fmt: skip
             if walls.shape[0] + pillars.shape[0] > 0:
                 _see_arena(
-                    own, poses, axes, walls, pillars, angle_min, range_min, range_max, cos_rays, sin_rays, row
+                    own, poses, axes, walls, pillars, eye_x, eye_y,
+                    angle_min, range_min, range_max, cos_rays, sin_rays, row,
                 )  # fmt: skip
 
 

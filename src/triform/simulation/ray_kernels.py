@@ -45,7 +45,7 @@ class Scene(NamedTuple):
 
 
 class ScanRays(NamedTuple):
-    """The rays of a LiDAR and its limits of range.
+    """The rays of a LiDAR, its limits of range and its place on the base.
 
     Attributes:
         angle_min: Angle of the first ray in the robot's frame [rad].
@@ -53,6 +53,8 @@ class ScanRays(NamedTuple):
         range_max: Farther returns are ``+inf`` [m].
         cos: Cosine of every ray's angle, shape (R,).
         sin: Sine of every ray's angle, shape (R,).
+        x: Where rays begin, forward of the robot's centre [m].
+        y: Where rays begin, left of the robot's centre [m].
     """
 
     angle_min: float
@@ -60,6 +62,8 @@ class ScanRays(NamedTuple):
     range_max: float
     cos: Any
     sin: Any
+    x: float = 0.0
+    y: float = 0.0
 
 
 @kernel
@@ -68,6 +72,12 @@ def body_reach(body: Any) -> float:
     if body.is_circle:
         return float(body.half_length)
     return math.hypot(body.half_length, body.half_width)
+
+
+@kernel
+def sight_reach(scan: Any, body: Any) -> float:
+    """Distance of two centres beyond which one robot does not see the other [m]."""
+    return float(scan.range_max + body_reach(body) + math.hypot(scan.x, scan.y))
 
 
 @kernel
