@@ -18,7 +18,7 @@ from sensor_msgs.msg import LaserScan as LaserScanMessage
 from triform.perception import MapRules, map_workspace, occupied_into
 from triform.robots.laser_scan import Turn
 from triform.robots.limits import limit_acceleration
-from triform.robots.odometry import PoseHistory
+from triform.robots.odometry import Track
 from triform.robots.real import Step
 from triform.simulation import Drive, Mounting
 from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, TriformError, View
@@ -123,7 +123,7 @@ class TwistTopic:
         self._node, self._frame, self._stamped = node, frame, stamped
         self._limits, self._period = limits, period
         self._command: FloatArray = np.zeros(3)
-        self._history = PoseHistory()
+        self._history = Track(angle=True)
         self._publisher = node.create_publisher(TwistStamped if stamped else Twist, "cmd_vel", 1)
         if odometry:
             node.create_subscription(Odometry, "odom", self._note, qos_profile_sensor_data)

@@ -108,6 +108,10 @@ class RealRobot:
 
     A robot without a fresh scan, or whose scans show nothing for some turns (``triform.control.sight``), stands still,
     whatever its controller says. What can only be the robot itself is unknown to its controller.
+
+    Attributes:
+        control_period: Time between two commands [s].
+        late_ticks: Commands that came after their control period had ended.
     """
 
     def __init__(
@@ -146,7 +150,7 @@ class RealRobot:
         self._lidar, self._base = lidar, base
         self._placement = placement or Placement(lidar.scan)
         self._sight = Sight()
-        self._period = control_period
+        self.control_period = control_period
         self._limits = limits
         self._keys = noise_keys([np.random.SeedSequence(seed)], 1)
         self._noise_scale = noise_scale(limits)
@@ -158,23 +162,8 @@ class RealRobot:
         self._ranges: RangeArray = np.full(self._placement.scan.rays, np.inf, np.float32)
         self._standing = ""
         self._shows_itself = False
-        self._late_ticks = 0
+        self.late_ticks = 0
         self._started = self._seen = self._due = time.monotonic()
-
-    @property
-    def control_period(self) -> float:
-        """Time between two commands [s]."""
-        return self._period
-
-    @property
-    def started(self) -> float:
-        """When the robot started, by the host's monotonic clock [s]."""
-        return self._started
-
-    @property
-    def late_ticks(self) -> int:
-        """Commands that came after their control period had ended."""
-        return self._late_ticks
 
     def observe(self) -> View:
         """Return the newest scan, as seen from the base's centre; ``+inf`` before the first one, ``NaN`` if too old.
@@ -232,7 +221,7 @@ class RealRobot:
         self._due += duration
         late = sent > self._due
         if late:
-            self._late_ticks += 1
+            self.late_ticks += 1
             self._due = sent
         if self._on_sent is not None and self._view is not None:
             pose = None if self._base is None else self._base.odometry(sent)
