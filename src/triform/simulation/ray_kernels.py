@@ -151,7 +151,7 @@ def _see_edge(
 @kernel
 def see_circle(x: float, y: float, radius: float, scan: Any, row: Any) -> None:
     """Cast at a circle whose centre is (x, y) in the observer's frame."""
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
+    angle_min, range_min, range_max, cos_rays, sin_rays, _, _ = scan
     squared = x * x + y * y
     if squared <= radius * radius:
         _cover_all(range_min, range_max, row)
@@ -173,7 +173,7 @@ def see_circle(x: float, y: float, radius: float, scan: Any, row: Any) -> None:
 def see_box(x: float, y: float, cos: float, sin: float, body: Any, scan: Any, row: Any) -> None:
     """Cast at a box whose centre is (x, y) in the observer's frame and whose axes are turned by (cos, sin)."""
     half_length, half_width, _ = body
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
+    angle_min, range_min, range_max, cos_rays, sin_rays, _, _ = scan
     observer_x = -(x * cos + y * sin)
     observer_y = -(y * cos - x * sin)
     before = int(observer_x > half_length) - int(observer_x < -half_length)
@@ -206,7 +206,7 @@ def see_box(x: float, y: float, cos: float, sin: float, body: Any, scan: Any, ro
 @kernel
 def see_wall(x1: float, y1: float, x2: float, y2: float, scan: Any, row: Any) -> None:
     """Cast at a wall given by its ends in the observer's frame, in either order."""
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
+    angle_min, range_min, range_max, cos_rays, sin_rays, _, _ = scan
     rays = row.shape[0]
     cross = x1 * y2 - y1 * x2
     if cross == 0.0:
