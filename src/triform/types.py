@@ -30,6 +30,8 @@ MapArray = NDArray[np.uint8]
 
 #: Reach of the paper's LiDAR: how far one robot sees another [m], for a prescribed distance of 1 m.
 SENSING_RANGE = 2.0
+#: No robot is so far away, has come so far, or is noised so much [m].
+LARGEST = 1e6
 #: How long a robot holds its exploration noise before it draws anew [s].
 NOISE_PERIOD = 0.5
 
@@ -252,6 +254,15 @@ class View:
                 raise ConfigurationError(
                     f"a view has {name} of shape {values.shape}; {(*self.active.shape, width)} is needed"
                 )
+            if values is not None and not is_plausible(values[self.active]):
+                raise ConfigurationError(
+                    f"a view has {name} that is not finite or exceeds {LARGEST:g}; no command can rest on it"
+                )
+
+
+def is_plausible(values: FloatArray) -> bool:
+    """Tell whether all values are finite and none exceeds ``LARGEST``, so that no law about them overflows."""
+    return bool((np.abs(values) <= LARGEST).all())
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import resource
 import signal
 import time
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +26,11 @@ from triform.robots import drive as drive_module
 from triform.robots.drive import DriveConfig, run_drive
 from triform.robots.laser_scan import Turn
 from triform.robots.latency import Budget, Durations
+from triform.robots.ldrobot import LidarModel
 from triform.robots.real import Step
 from triform.robots.recorder import CsvLog
 from triform.signals import StopSignals
-from triform.simulation import ROBOMASTER_EP, Arena, cast_scans
+from triform.simulation import HARDWARE, ROBOMASTER_EP, Arena, Mounting, cast_scans, profile_toml
 from triform.types import ConfigurationError, Scan, ScanConfig, TriformError, View
 
 
@@ -38,10 +40,10 @@ class FakeLidar:
     lost_after: float | None = None
     silent_after: float | None = None
 
-    def __init__(self, path: str, model: object, scan: ScanConfig, mounting: float) -> None:
-        self.scan, self.began = scan, time.monotonic()
+    def __init__(self, path: str, model: LidarModel, mounting: Mounting) -> None:
+        self.scan, self.began = model.scan_config(), time.monotonic()
         poses = np.array([[[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]]])
-        exact = cast_scans(poses, np.ones((1, 2), bool), ROBOMASTER_EP, Arena.open(), scan, dtype=np.float32)
+        exact = cast_scans(poses, np.ones((1, 2), bool), ROBOMASTER_EP, Arena.open(), self.scan, dtype=np.float32)
         self.ranges = exact[0, 0]
 
     def __enter__(self) -> FakeLidar:
@@ -309,12 +311,29 @@ def test_controllers_that_see_poses_are_refused(name: str) -> None:
         {"seed": -1},
         {"start_pose": (0.0, np.nan, 0.0)},
         {"mounting": np.inf},
+        {"lidar_position": (0.0, np.nan)},
+        {"blind_sector": ("10-20",)},
+        {"blind_sector": ("0:180", "180:360")},
+        {"blind_sector": ("90:450",)},
         {"footprint": "box:0.3x-0.2"},
     ],
 )
 def test_bad_settings_are_refused(setting: dict[str, object]) -> None:
     with pytest.raises(ConfigurationError):
         DriveConfig(**setting)  # type: ignore[arg-type]
+
+
+def test_the_mounting_is_the_profiles_and_the_options_replace_it(tmp_path: Path) -> None:
+    mounting = Mounting(0.1, -0.05, 1.0, upright=False, blind_sectors=((170.0, 190.0),))
+    file = tmp_path / "mine.toml"
+    file.write_text(profile_toml(replace(HARDWARE, mounting=mounting)), encoding="utf-8")
+    assert DriveConfig(profile=str(file)).mounted == mounting
+    changed = DriveConfig(
+        profile=str(file), mounting=0.5, lidar_position=(0.0, 0.0), blind_sector=("350:10", "-95:-85")
+    )
+    sectors = ((170.0, 190.0), (350.0, 10.0), (-95.0, -85.0))
+    assert changed.mounted == Mounting(0.0, 0.0, 0.5, upright=False, blind_sectors=sectors)
+    assert DriveConfig(upside_down=True).mounted == Mounting(upright=False)
 
 
 def test_where_the_base_is() -> None:

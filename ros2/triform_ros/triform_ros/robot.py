@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -21,7 +20,7 @@ from triform.robots.laser_scan import Turn
 from triform.robots.limits import limit_acceleration
 from triform.robots.odometry import Track
 from triform.robots.real import Step
-from triform.simulation import Drive
+from triform.simulation import Drive, Mounting
 from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, TriformError, View
 from triform_ros.conversions import fill_twist, laser_scan, map_message, pose_of, seconds
 
@@ -47,17 +46,16 @@ class ScanTopic:
     A scan that cannot be used takes the place of the one before: the robot then has none, and stands.
     """
 
-    def __init__(self, node: Node, scan: ScanConfig, mounting: float, frame: str) -> None:
+    def __init__(self, node: Node, scan: ScanConfig, mounting: Mounting, frame: str) -> None:
         """Subscribe.
 
         Args:
             node: Where the topic is.
-            scan: Shape of the scans that are wanted, in the robot's frame.
-            mounting: Angle of the LiDAR's x axis in the robot's frame [rad].
+            scan: Shape of the scans that are wanted, with the directions of the robot's frame.
+            mounting: How the LiDAR is mounted.
             frame: Frame that scans must be in; any if empty.
         """
-        self._node, self._scan, self._frame = node, scan, frame
-        self._grid = replace(scan, angle_min=scan.angle_min - mounting)
+        self._node, self._scan, self._mounting, self._frame = node, scan, mounting, frame
         self._turn: Turn | None = None
         self._told_coverage = False
         self.received = self.refused = self.lost = 0
@@ -93,11 +91,11 @@ class ScanTopic:
         frame = message.header.frame_id
         if self._frame and frame != self._frame:
             raise TriformError(f"it is in the frame {frame!r}, not in {self._frame!r}")
-        scan = laser_scan(message)
+        scan = laser_scan(message).mounted(self._mounting)
         turn = message.time_increment * (len(message.ranges) - 1)
         if not (math.isfinite(turn) and turn >= 0):
             raise TriformError(f"time_increment is {message.time_increment} s; it must be finite and not negative")
-        ranges = scan.on_grid(self._grid)
+        ranges = scan.on_grid(self._scan)
         if scan.coverage < 0.99 and not self._told_coverage:
             self._told_coverage = True
             self._node.get_logger().info(f"scans cover {360 * scan.coverage:.0f} of 360 degrees; the rest is not seen")
