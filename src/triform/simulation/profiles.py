@@ -121,8 +121,8 @@ class Footprint:
 #: DJI RoboMaster EP.
 ROBOMASTER_EP = Footprint.box(0.320, 0.240)
 
-#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, centred on the
-#: LiDAR as all footprints are; circles are named after their radius in centimetres, the box after its side.
+#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, around its
+#: centre as all footprints are; circles are named after their radius in centimetres, the box after its side.
 FOOTPRINTS = {
     "ep": ROBOMASTER_EP,
     "engineer": Footprint.box(0.410, 0.240),
