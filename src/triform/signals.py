@@ -7,8 +7,8 @@ import threading
 from collections.abc import Sequence
 from types import FrameType, TracebackType
 
-#: What a closed terminal sends; Windows has no such signal.
-_CLOSED_TERMINAL = tuple(each for each in signal.Signals if each.name == "SIGHUP")
+#: SIGHUP, on systems that have it.
+_HANG_UP = tuple(each for each in signal.Signals if each.name == "SIGHUP")
 
 
 class StopSignals:
@@ -21,7 +21,7 @@ class StopSignals:
     def __init__(
         self,
         always: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM),
-        unless_ignored: Sequence[signal.Signals] = _CLOSED_TERMINAL,
+        unless_ignored: Sequence[signal.Signals] = _HANG_UP,
     ) -> None:
         """Note nothing yet.
 

@@ -9,7 +9,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from triform.types import Controller, FloatArray, PrivilegedView, Team, TriformError, View, require
+from triform.types import (
+    LARGEST,
+    Controller,
+    FloatArray,
+    PrivilegedView,
+    Team,
+    TriformError,
+    View,
+    is_plausible,
+    require,
+)
 
 ViewT = TypeVar("ViewT", bound=View)
 
@@ -46,6 +56,23 @@ def drive(
         if on_step is not None:
             on_step(view, commands)
         team.apply(commands, team.control_period)
+
+
+def true_poses(view: View, who: str) -> FloatArray:
+    """Return everybody's true pose, shape (B, N, 3), contiguous.
+
+    Args:
+        view: What a team senses.
+        who: The controller, for the sentence that refuses.
+
+    Raises:
+        TriformError: The view carries no poses, or poses that are not finite or exceed ``LARGEST``.
+    """
+    if not isinstance(view, PrivilegedView):
+        raise TriformError(f"{who} needs true poses, and this team cannot offer them")
+    if not is_plausible(view.poses[view.active]):
+        raise TriformError(f"{who} needs finite poses of all active robots, at most {LARGEST:g} m away")
+    return np.ascontiguousarray(view.poses, dtype=np.float64)
 
 
 def control_steps(duration: float, control_period: float) -> int:

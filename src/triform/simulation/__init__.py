@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from triform.simulation.arena import ARENAS, Arena, get_arena
 from triform.simulation.arena_file import arena_toml
-from triform.simulation.kinematics import (
-    advance_pose,
-    integrate,
-    limit_twists,
-    steer,
-    twist_from_wheels,
-    wheel_speeds,
-)
+from triform.simulation.kinematics import integrate, limit_twists, steer
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
+from triform.simulation.mounting import Mounting, Placement, read_sectors
 from triform.simulation.profile_file import profile_toml
 from triform.simulation.profiles import (
     FOOTPRINTS,
@@ -30,7 +24,7 @@ from triform.simulation.profiles import (
 )
 from triform.simulation.simulated import SimulatedTeam
 from triform.simulation.spawn_kernels import is_connected
-from triform.simulation.spawning import load_starts, sample_addition, sample_starts, square_side, world_seeds
+from triform.simulation.spawning import load_starts, sample_addition, sample_starts, world_seeds
 from triform.simulation.world import World, make_world
 
 __all__ = [
@@ -44,11 +38,12 @@ __all__ = [
     "Drive",
     "Footprint",
     "LidarConfig",
+    "Mounting",
     "NoiseBand",
+    "Placement",
     "Profile",
     "SimulatedTeam",
     "World",
-    "advance_pose",
     "angle_offsets",
     "apply_noise",
     "arena_toml",
@@ -65,11 +60,9 @@ __all__ = [
     "make_world",
     "noise_sigma",
     "profile_toml",
+    "read_sectors",
     "sample_addition",
     "sample_starts",
-    "square_side",
     "steer",
-    "twist_from_wheels",
-    "wheel_speeds",
     "world_seeds",
 ]

@@ -13,7 +13,7 @@ import numpy as np
 
 from triform.geometry.cells import pairs_within
 from triform.kernels import kernel
-from triform.simulation.ray_kernels import body_reach
+from triform.simulation.ray_kernels import body_reach, sight_reach
 
 
 class DueRays(NamedTuple):
@@ -108,14 +108,11 @@ def list_near(poses: Any, active: Any, distance: float) -> tuple[Any, Any]:
 
 @kernel(inline="always")
 def _nearest_along(
-    i: int, dx: float, dy: float, places: Any, first: int, last: int, near: Any, around: float, body: Any,
-    walls: Any, pillars: Any,
-) -> float:  # fmt: skip
-    """Distance from robot ``i`` to the nearest obstacle in direction (dx, dy) [m]."""
+    x: float, y: float, dx: float, dy: float, places: Any, first: int, last: int, near: Any, around: float, scene: Any
+) -> float:
+    """Distance from (x, y) to the nearest obstacle in direction (dx, dy) [m]."""
     nearest = math.inf
-    half_length, half_width, is_circle = body
-    x = places[i, 0]
-    y = places[i, 1]
+    (half_length, half_width, is_circle), walls, pillars = scene
     for k in range(first, last):
         j = near[k]
         ox = places[j, 0] - x
@@ -138,15 +135,7 @@ def _nearest_along(
 
 @kernel
 def cast_moving(
-    start: Any,
-    end: Any,
-    active: Any,
-    near: Any,
-    scene: Any,
-    scan: Any,
-    offsets: Any,
-    due: Any,
-    out: Any,
+    start: Any, end: Any, active: Any, near: Any, scene: Any, scan: Any, offsets: Any, due: Any, out: Any
 ) -> None:
     """Cast rays ``due.first <= k < due.last`` of one world while its robots move from ``start`` to ``end``.
 
@@ -167,11 +156,10 @@ def cast_moving(
     robots = start.shape[0]
     increment = 2 * math.pi / out.shape[1]
     places = np.empty((robots, 5))
-    body, walls, pillars = scene
     angle_min, range_min, range_max = scan.angle_min, scan.range_min, scan.range_max
     first_ray, last_ray, first_share, share_step = due
     ends, others = near
-    around = body_reach(body)
+    around = body_reach(scene.body)
     for k in range(first_ray, last_ray):
         if k == first_ray or share_step != 0.0:
             share = min(max(first_share + (k - first_ray) * share_step, 0.0), 1.0)
@@ -191,26 +179,21 @@ def cast_moving(
             angle = places[i, 2] + angle_min + k * increment
             if offsets.shape[1] > 0:
                 angle += offsets[i, k]
-            found = _nearest_along(
-                i, math.cos(angle), math.sin(angle), places, ends[i], ends[i + 1], others, around, body, walls, pillars
-            )
+            x, y = places[i, 0], places[i, 1]
+            if scan.x != 0.0 or scan.y != 0.0:
+                x += places[i, 3] * scan.x - places[i, 4] * scan.y
+                y += places[i, 4] * scan.x + places[i, 3] * scan.y
+            dx, dy = math.cos(angle), math.sin(angle)
+            found = _nearest_along(x, y, dx, dy, places, ends[i], ends[i + 1], others, around, scene)
             # As ``keep_nearest`` into an empty ray; rows of ``out`` are not taken, which costs in an inner loop.
             out[i, k] = math.inf if found > range_max else -math.inf if found < range_min else found
 
 
 @kernel
 def cast_moving_worlds(
-    start: Any,
-    end: Any,
-    active: Any,
-    scene: Any,
-    scan: Any,
-    offsets: Any,
-    share_step: float,
-    out: Any,
-    first: int,
-    last: int,
-) -> None:
+    start: Any, end: Any, active: Any, scene: Any, scan: Any, offsets: Any, share_step: float, out: Any,
+    first: int, last: int,
+) -> None:  # fmt: skip
     """``cast_moving`` of whole turns for the worlds ``first <= b < last``; ``out`` must come filled with ``+inf``."""
     for b in range(first, last):
         travel = 0.0
@@ -225,4 +208,4 @@ def cast_moving_worlds(
 @kernel
 def seen_within(body: Any, scan: Any, travel: float) -> float:
     """Distance of two centres [m] beyond which robots cannot see each other before both have gone ``travel`` [m]."""
-    return float((scan.range_max + body_reach(body) + 2 * travel) * (1 + 1e-9))
+    return float((sight_reach(scan, body) + 2 * travel) * (1 + 1e-9))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
+from triform.simulation.mounting import Mounting
 from triform.simulation.profiles import Drive, Footprint, LidarConfig, NoiseBand, Profile
 from triform.simulation.tables import TomlTable, quoted
 from triform.types import ConfigurationError, ScanConfig
-
-_LIMITS = tuple(each.name for each in fields(Drive))
 
 
 def read_profile(path: Path) -> Profile:
@@ -19,74 +21,75 @@ def read_profile(path: Path) -> Profile:
         ConfigurationError: The file cannot be read, or a key or value is not allowed; the sentence names both.
     """
     top = TomlTable.read(path)
-    ideal = Profile(path.stem)
-    top.known("name", "control_period", "latency", "time_step", "odometry", "footprint", "lidar", "drive")
-    footprint, lidar, drive = _footprint(top), _lidar(top.table("lidar")), _drive(top.table("drive"))
-    try:
+    with _refusing(top):
+        values = _values(top, Profile(path.stem), "footprint", "lidar", "drive", "mounting")
+        footprint = Footprint.parse(top.text("footprint", "ep"))
         return Profile(
-            top.text("name", ideal.name),
-            footprint,
-            lidar,
-            drive,
-            top.number("control_period", ideal.control_period),
-            top.number("latency", ideal.latency),
-            top.number("time_step", ideal.time_step),
-            top.flag("odometry", ideal.odometry),
+            footprint=footprint,
+            lidar=_lidar(top.table("lidar")),
+            drive=_drive(top.table("drive")),
+            mounting=_mounting(top.table("mounting")),
+            **values,
         )
-    except ConfigurationError as error:
-        raise (error if str(path) in str(error) else top.refused(error)) from None
-
-
-def _footprint(top: TomlTable) -> Footprint:
-    text = top.text("footprint", "ep")
-    try:
-        return Footprint.parse(text)
-    except ConfigurationError as error:
-        raise top.refused(error) from None
 
 
 def _lidar(table: TomlTable) -> LidarConfig:
-    scan, ideal = ScanConfig(), LidarConfig()
-    table.known("rays", "angle_min", "range_min", "range_max", "period", "rolling", "dropout", "angle_noise", "noise")
+    lidar, scan = LidarConfig(), ScanConfig()
     bands = []
     for band in table.tables("noise", "[{ up_to = inf, absolute = 0.01 }]"):
-        band.known("up_to", "absolute", "relative")
-        values = band.number("up_to", float("inf")), band.number("absolute", 0.0), band.number("relative", 0.0)
-        try:
-            bands.append(NoiseBand(*values))
-        except ConfigurationError as error:
-            raise band.refused(error) from None
-    shape = (
-        table.whole("rays", scan.rays),
-        table.number("angle_min", scan.angle_min),
-        table.number("range_min", scan.range_min),
-        table.number("range_max", scan.range_max),
-    )
-    rest = (
-        table.number("angle_noise", ideal.angle_noise),
-        table.number("dropout", ideal.dropout),
-        table.flag("rolling", ideal.rolling),
-        table.number("period", ideal.period),
-    )
-    try:
-        return LidarConfig(ScanConfig(*shape), tuple(bands), *rest)
-    except ConfigurationError as error:
-        raise table.refused(error) from None
+        with _refusing(band):
+            bands.append(NoiseBand(**_values(band, NoiseBand(float("inf")))))
+    shape = _values(table, scan, "noise", *_simple(lidar))
+    with _refusing(table):
+        return replace(lidar, scan=ScanConfig(**shape), noise=tuple(bands), **_values(table, lidar, "noise", *shape))
 
 
 def _drive(table: TomlTable) -> Drive:
-    ideal = Drive()
-    table.known(*_LIMITS)
-    values = {name: table.number(name, getattr(ideal, name)) for name in _LIMITS}
+    with _refusing(table):
+        return Drive(**_values(table, Drive()))
+
+
+def _mounting(table: TomlTable) -> Mounting:
+    values = _values(table, Mounting(), "blind_sectors")
+    sectors = table.rows("blind_sectors", 2, "from, to [deg]")
+    with _refusing(table):
+        return Mounting(**values, blind_sectors=tuple((begin, end) for begin, end in sectors))
+
+
+def _simple(ideal: Any) -> dict[str, bool | float | str]:
+    """Return the fields of a configuration that are no tables, with their values."""
+    return {name: value for name, value in vars(ideal).items() if isinstance(value, bool | int | float | str)}
+
+
+def _values(table: TomlTable, ideal: Any, *others: str) -> dict[str, Any]:
+    """Take the simple fields of a configuration out of a table; those that it leaves out are ``ideal``'s.
+
+    Raises:
+        ConfigurationError: A value has another type, or there is a key that is neither a field nor one of ``others``.
+    """
+    simple = _simple(ideal)
+    table.known(*simple, *others)
+    take: dict[type, Callable[[str, Any], Any]] = {
+        bool: table.flag,
+        int: table.whole,
+        float: table.number,
+        str: table.text,
+    }
+    return {name: take[type(default)](name, default) for name, default in simple.items()}
+
+
+@contextmanager
+def _refusing(table: TomlTable) -> Iterator[None]:
+    """Name file and table in the error of values that do not go together."""
     try:
-        return Drive(**values)
+        yield
     except ConfigurationError as error:
-        raise table.refused(error) from None
+        raise (error if str(table.path) in str(error) else table.refused(error)) from None
 
 
 def profile_toml(profile: Profile) -> str:
     """Return a profile as the text of a TOML file, with units, to start from."""
-    lidar, scan, drive = profile.lidar, profile.lidar.scan, profile.drive
+    lidar, scan, drive, mounting = profile.lidar, profile.lidar.scan, profile.drive, profile.mounting
     bands = ",\n".join(
         "    { " + ", ".join(f"{name} = {float(value)!r}" for name, value in asdict(band).items()) + " }"
         for band in lidar.noise
@@ -94,7 +97,7 @@ def profile_toml(profile: Profile) -> str:
     noise = f"[\n{bands},\n]" if bands else "[]"
     lines = [
         f"name = {quoted(profile.name)}",
-        f'footprint = "{profile.footprint.label}"  # circle:DIAMETER or box:LENGTHxWIDTH [m], centred on the LiDAR',
+        f'footprint = "{profile.footprint.label}"  # circle:DIAMETER or box:LENGTHxWIDTH [m], around its centre',
         f"control_period = {float(profile.control_period)!r}  # time between two commands [s]",
         f"latency = {float(profile.latency)!r}  # from a finished scan until a command can use it [s]",
         f"time_step = {float(profile.time_step)!r}  # longest integration step of the simulation [s]",
@@ -111,6 +114,14 @@ def profile_toml(profile: Profile) -> str:
         f"angle_noise = {float(lidar.angle_noise)!r}  # standard deviation of a ray's direction [rad]",
         "# Standard deviation of ranges up to a distance [m]: absolute [m] + relative x range; the last up to inf.",
         f"noise = {noise}",
+        "",
+        "[mounting]  # of the LiDAR on the base",
+        f"x = {float(mounting.x)!r}  # forward of the base's centre [m]",
+        f"y = {float(mounting.y)!r}  # left of it [m]",
+        f"yaw = {float(mounting.yaw)!r}  # direction of the LiDAR's own zero, counter-clockwise from the front [rad]",
+        f"upright = {str(mounting.upright).lower()}  # false if it hangs upside down",
+        f"blind_sectors = {[[float(each) for each in sector] for sector in mounting.blind_sectors]}"
+        "  # where only the robot itself is, [from, to] counter-clockwise from the front [deg]",
         "",
         "[drive]  # holonomic base; inf is no limit",
         f"max_speed = {float(drive.max_speed)!r}  # [m/s]",
