@@ -9,7 +9,7 @@ import numpy as np
 
 from triform.control import expert_variant
 from triform.simulation import ROBOMASTER_EP, Footprint
-from triform.types import ConfigurationError, IntArray, MapConfig, ScanConfig, require
+from triform.types import ConfigurationError, IntArray, MapConfig, ScanConfig, convert_fields, require
 
 _Dataclass = TypeVar("_Dataclass")
 
@@ -71,6 +71,7 @@ class CollectionConfig:
     group_records: int = 250
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         least = dict.fromkeys(("robots", "steps", "block_placements", "shard_runs", "group_records"), 1)
         least |= dict.fromkeys(("runs", "placements", "seed"), 0)
         for name, minimum in least.items():

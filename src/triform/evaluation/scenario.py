@@ -20,7 +20,16 @@ from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.runs import chunks, world_seeds
 from triform.robots.gazebo import GazeboBase, GazeboServer, GazeboTeam, braked
 from triform.simulation import Arena, Drive, Profile, SimulatedTeam, World, get_arena, get_profile, sample_starts
-from triform.types import SENSING_RANGE, BoolArray, ConfigurationError, Controller, FloatArray, IntArray, require
+from triform.types import (
+    SENSING_RANGE,
+    BoolArray,
+    ConfigurationError,
+    Controller,
+    FloatArray,
+    IntArray,
+    convert_fields,
+    require,
+)
 
 SimulatorName = Literal["builtin", "gazebo"]
 SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "gazebo")
@@ -57,6 +66,7 @@ class Scenario:
     overrides: Overrides = field(default_factory=Overrides)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         farthest = LIDAR_REACH / SENSING_RANGE
         require(
             0 < self.distance <= farthest,

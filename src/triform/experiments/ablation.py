@@ -30,7 +30,7 @@ from triform.report.output import prepare_folder, write_json
 from triform.report.page import Section, spell_command, write_pages
 from triform.report.tables import drop_columns, require_parquet
 from triform.simulation.noise import exploration_noise
-from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError
+from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError, convert_fields
 
 #: Name of all files.
 _NAME = "ablation"
@@ -157,6 +157,7 @@ class AblateConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_teams(self.robots, self.runs, self.seed, least=3)
 
     @property

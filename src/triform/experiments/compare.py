@@ -25,7 +25,7 @@ from triform.report.output import prepare_folder, write_json
 from triform.report.page import Section, spell_command, write_pages
 from triform.report.tables import drop_columns, require_parquet
 from triform.timing.step_time import TEAM, network_size, record_views, step_times, what_it_sees
-from triform.types import require
+from triform.types import convert_fields, require
 
 #: Name of all files.
 _NAME = "compare"
@@ -90,6 +90,7 @@ class CompareConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(len(self.controllers) > 0, "controllers is empty; at least one controller is needed")
         labels = [controller.label for controller in self.contestants]
         for label in labels:

@@ -18,6 +18,7 @@ from triform.report.output import prepare_file, write_json
 from triform.report.results import Evaluation, show_results
 from triform.report.tables import require_parquet, write_parquet
 from triform.simulation import load_starts
+from triform.types import convert_fields
 
 #: Settings that say nothing about results.
 _UNRECORDED = ("json", "parquet")
@@ -53,6 +54,7 @@ class EvaluateConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_teams(self.robots, self.runs, self.seed)
 
     @property

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 
 from triform.files import sha256
 from triform.policy.config import GnnConfig, Network, describe_network, read_network
-from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError, require
+from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError, convert_fields, require
 
 _FORMAT = "triform-policy"
 _VERSION = 1
@@ -59,6 +59,7 @@ class PolicySpec:
     precision: Precision = "float32"
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(
             self.network.fits(self.map),
             f"the network reads maps of another size than the {self.map.size} cells of the map configuration",

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
-from triform.types import ConfigurationError, MapConfig, choose, require
+from triform.types import ConfigurationError, MapConfig, choose, convert_fields, require
 
 
 class _Shape:
     """Base of all shapes: every count is at least 1, and a network fits maps unless it reads others."""
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for each in fields(self):  # type: ignore[arg-type]
             value = getattr(self, each.name)
             require(each.type != "int" or value >= 1, f"network {each.name} is {value}; it must be at least 1")
