@@ -32,7 +32,16 @@ from triform.simulation import (
     sample_starts,
     world_seeds,
 )
-from triform.types import SENSING_RANGE, BoolArray, ConfigurationError, Controller, FloatArray, IntArray, require
+from triform.types import (
+    SENSING_RANGE,
+    BoolArray,
+    ConfigurationError,
+    Controller,
+    FloatArray,
+    IntArray,
+    convert_fields,
+    require,
+)
 
 SimulatorName = Literal["builtin", "gazebo"]
 SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "gazebo")
@@ -69,6 +78,7 @@ class Scenario:
     overrides: Overrides = field(default_factory=Overrides)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         farthest = LIDAR_REACH / SENSING_RANGE
         require(
             0 < self.distance <= farthest,
