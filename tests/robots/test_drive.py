@@ -9,11 +9,14 @@ import os
 import resource
 import signal
 import time
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 
 from triform.commands.drive_screen import DriveScreen, StatusLine
@@ -22,7 +25,7 @@ from triform.control import ControllerSpec
 from triform.robots import drive as drive_module
 from triform.robots.drive import DriveConfig, run_drive
 from triform.robots.laser_scan import Turn
-from triform.robots.latency import Budget
+from triform.robots.latency import Budget, Durations
 from triform.robots.ldrobot import LidarModel
 from triform.robots.real import Step
 from triform.robots.recorder import CsvLog
@@ -369,3 +372,42 @@ def test_scans_that_no_command_used_are_missed() -> None:
     assert (found["steps"], found["late_ticks"], found["blind_steps"]) == (6, 1, 0)
     assert found["seconds"]["send"]["max"] == pytest.approx(0.01)
     assert "map" not in found["seconds"]
+
+
+@given(
+    st.lists(st.floats(1e-5, 100.0), min_size=1, max_size=50),
+    st.sampled_from([1, 7, 1000]),
+)
+def test_durations_have_the_quantiles_of_numpy(seconds: list[float], times: int) -> None:
+    durations = Durations()
+    for _ in range(times):
+        for each in seconds:
+            durations.add(each)
+    found = durations.summary()
+    everything = np.repeat(seconds, times)
+    for name, share in (("median", 0.5), ("p95", 0.95)):
+        low, high = (np.quantile(everything, share, method=method) for method in ("inverted_cdf", "higher"))
+        assert low * 0.998 <= found[name] <= high * 1.002
+    assert found["max"] == max(seconds)
+    assert found["median"] <= found["p95"] <= found["max"]
+
+
+def test_a_long_drive_needs_no_more_memory_than_a_short_one() -> None:
+    config = ScanConfig(rays=8)
+    view = View(Scan(np.ones((1, 1, 8)), config), np.ones((1, 1), bool), 0.0)
+    budget = Budget()
+
+    def steps(count: int) -> None:
+        for k in range(count):
+            turn = Turn(np.ones(8), 0.1 * k, 0.1 * k + 0.1)
+            budget.add(Step(1.0, 1.01, 1.02 + k * 1e-6, turn, view, np.zeros(3), None, blind=False, late=False))
+
+    steps(100)
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        steps(10_000)
+        assert tracemalloc.get_traced_memory()[0] - before < 20_000
+    finally:
+        tracemalloc.stop()
+    assert budget.summary()["steps"] == 10_100

@@ -123,7 +123,8 @@ class TwistTopic:
         self._node, self._frame, self._stamped = node, frame, stamped
         self._limits, self._period = limits, period
         self._command: FloatArray = np.zeros(3)
-        self._history = Track(angle=True)
+        speed = min(limits.max_speed, math.sqrt(2) * limits.max_axis_speed)
+        self._history = Track([speed, speed, limits.max_turn_rate], angle=True)
         self._publisher = node.create_publisher(TwistStamped if stamped else Twist, "cmd_vel", 1)
         if odometry:
             node.create_subscription(Odometry, "odom", self._note, qos_profile_sensor_data)
@@ -162,9 +163,7 @@ class TwistTopic:
         self._publisher.publish(message)
 
     def _note(self, message: Odometry) -> None:
-        pose = pose_of(message)
-        if np.isfinite(pose).all():
-            self._history.add(host_time(self._node, message.header.stamp), pose)
+        self._history.add(host_time(self._node, message.header.stamp), pose_of(message))
 
 
 class MapTopic:

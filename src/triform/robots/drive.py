@@ -58,7 +58,8 @@ class DriveConfig:
         profile: Robot profile, whose footprint, speed, lag and latency hold: a name or a TOML file.
         max_speed: Largest speed along x and along y [m/s]; the profile's if omitted.
         max_turn_rate: Largest turn rate [rad/s].
-        watchdog: How long the base holds a command, and how late its answer may be [s]; longer than a control period.
+        watchdog: How long the base holds a command that no newer one has followed [s]; at least two control periods,
+            because an answer of the base may take half of it.
         duration: How long to drive [s]; until Ctrl-C if omitted.
         dry_run: Whether commands are shown and not sent; no base is needed then.
         record: Folder for a recording.
@@ -118,8 +119,8 @@ class DriveConfig:
             f"max_turn_rate is {self.max_turn_rate} rad/s; it must be positive and finite",
         )
         require(
-            self.control_period < self.watchdog < math.inf,
-            f"watchdog is {self.watchdog} s; it must be finite and longer than a control period of "
+            2 * self.control_period <= self.watchdog < math.inf,
+            f"watchdog is {self.watchdog} s; it must be finite and at least two control periods of "
             f"{self.control_period:g} s",
         )
         if self.duration is not None:

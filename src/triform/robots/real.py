@@ -12,6 +12,7 @@ import numpy as np
 
 from triform.control.sight import BLIND_TURNS, Sight, has_sight
 from triform.robots.laser_scan import Turn
+from triform.robots.odometry import is_motion, is_place
 from triform.simulation import Drive, Placement, limit_twists
 from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
 from triform.simulation.odometry import relative_poses, resting_poses
@@ -244,12 +245,20 @@ class RealRobot:
         self._ranges = placement.from_base(masked)
 
     def _moved(self, turn: Turn, now: float) -> FloatArray | None:
-        """Pose at rest in the frame of the robot in the middle of a turn, shape (1, 1, 3); ``None`` if not known."""
+        """Pose at rest in the frame of the robot in the middle of a turn, shape (1, 1, 3).
+
+        ``None`` if it is not known, or if the robot cannot have moved as its odometry says.
+        """
         if self._base is None:
             return None
         moments = ((turn.started + turn.ended) / 2, now - _SPEED_TIME, now)
         then, before, here = (self._base.odometry(moment) for moment in moments)
-        if then is None or before is None or here is None:
+        if then is None or before is None or here is None or not is_place(np.array([then, before, here])):
             return None
-        velocity = relative_poses(here[None, None], before[None, None], _ONE) / _SPEED_TIME
+        speed = min(self._limits.max_speed, math.sqrt(2) * self._limits.max_axis_speed)
+        fastest = np.array([speed, speed, self._limits.max_turn_rate])
+        come, last = (relative_poses(here[None, None], pose[None, None], _ONE) for pose in (then, before))
+        if not (is_motion(come, now - moments[0], fastest) and is_motion(last, _SPEED_TIME, fastest)):
+            return None
+        velocity = last / _SPEED_TIME
         return relative_poses(resting_poses(here[None, None], velocity, self._limits), then[None, None], _ONE)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tty
 from pathlib import Path
 from types import TracebackType
 
@@ -46,6 +45,9 @@ class LidarEmulator:
         self._model, self._rng, self._mounting = model, rng, mounting or Mounting()
         try:
             # The other end stays open here too, so that readers may come and go.
+            # Windows has neither pseudo-terminals nor this module.
+            import tty
+
             self._ends: tuple[int, ...] = os.openpty()
         except OSError as error:
             raise TriformError(f"cannot open a pseudo-terminal: {error.strerror}") from error
