@@ -7,10 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fuzz import recordings
+from tests.fuzz import recordings, sight
 
 
 @pytest.mark.parametrize("kind", recordings.FORMATS)
 def test_damaged_recordings_are_measured_or_refused_in_a_sentence(tmp_path: Path, kind: str) -> None:
     for index in range(50):
         recordings.run(np.random.default_rng([1, index]), kind, tmp_path)
+
+
+def test_a_robot_drives_by_how_long_ago_its_lidar_has_shown_anything() -> None:
+    for index in range(60):
+        assert sight.blindness(np.random.default_rng([1, index])) == ""
