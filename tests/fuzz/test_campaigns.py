@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fuzz import recordings, robot_answers, wheels
+from tests.fuzz import recordings, robot_answers, sight, wheels
 
 
 @pytest.mark.parametrize("kind", recordings.FORMATS)
@@ -37,3 +37,8 @@ def test_wheels_stop_within_the_time_of_the_watchdog(fault: str) -> None:
 def test_a_damaged_robot_is_driven_or_lost_in_a_sentence_and_stands() -> None:
     for index in range(2):
         robot_answers.live(np.random.default_rng([1, index]), ADDRESS)
+
+
+def test_a_robot_drives_by_how_long_ago_its_lidar_has_shown_anything() -> None:
+    for index in range(60):
+        assert sight.blindness(np.random.default_rng([1, index])) == ""
