@@ -229,7 +229,18 @@ REQUIRED: dict[str, dict[str, Any]] = {
     "LidarModel": {"name": "mine", "samples_per_second": 4500.0, "period": 0.1, "range_min": 0.1, "range_max": 8.0},
 }
 #: Not configurations: they hold arrays, or are made of others that are checked.
-HELD = {"Trajectory", "Scan", "View", "PrivilegedView", "StateBuffer", "LaserScan", "PolicySpec", "TrainConfig"}
+HELD = {
+    "Manifest",
+    "Shard",
+    "Trajectory",
+    "Scan",
+    "View",
+    "PrivilegedView",
+    "StateBuffer",
+    "LaserScan",
+    "PolicySpec",
+    "TrainConfig",
+}
 SIMPLE = (bool, int, float, str, Path)
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import difflib
 import functools
+import itertools
 import numbers
 import os
 import sys
@@ -36,6 +37,8 @@ MapArray = NDArray[np.uint8]
 
 #: Reach of the paper's LiDAR: how far one robot sees another [m], for a prescribed distance of 1 m.
 SENSING_RANGE = 2.0
+#: No robot is so far away, has come so far, or is noised so much [m].
+LARGEST = 1e6
 #: How long a robot holds its exploration noise before it draws anew [s].
 NOISE_PERIOD = 0.5
 
@@ -46,8 +49,20 @@ _NEEDED = {bool: "true or false", int: "a whole number", float: "a number", str:
 Value = TypeVar("Value")
 
 
+def printable(text: str) -> str:
+    """Return text that others wrote as a terminal may show it: what is no printable character becomes its escape.
+
+    Names of files, answers of a robot, the log of another program and the like can hold sequences that steer a
+    terminal, ends of lines, or characters that no encoding has.
+    """
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
 class TriformError(Exception):
-    """Something the user gave or the machine did is wrong; the message says what in one sentence."""
+    """Something the user gave or the machine did is wrong; the message says what in one sentence, all printable."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 class ConfigurationError(TriformError, ValueError):
@@ -146,8 +161,8 @@ def converted(name: str, value: Any, kind: Any) -> Any:
     Args:
         name: What the value is called in an error.
         value: The value.
-        kind: ``bool``, ``int``, ``float``, ``str``, ``Path``, a dataclass, one of these or ``None``, or a tuple of any
-            number of these; values of other types are left as they are.
+        kind: ``bool``, ``int``, ``float``, ``str``, ``Path``, a dataclass, one of these or ``None``, or a tuple of
+            these; values of other types are left as they are.
 
     Raises:
         ConfigurationError: The value is of another type; the sentence says of which one is needed.
@@ -158,9 +173,10 @@ def converted(name: str, value: Any, kind: Any) -> Any:
     if get_origin(kind) in (Union, UnionType):
         rest = [each for each in inner if each is not NoneType]
         return value if value is None or len(rest) > 1 else converted(name, value, rest[0])
-    if get_origin(kind) is tuple and inner[1:] == (...,):
-        if isinstance(value, list | tuple | np.ndarray):
-            return tuple(converted(name, each, inner[0]) for each in value)
+    if get_origin(kind) is tuple:
+        kinds = itertools.repeat(inner[0]) if inner[1:] == (...,) else inner
+        if isinstance(value, list | tuple | np.ndarray) and (inner[1:] == (...,) or len(value) == len(inner)):
+            return tuple(converted(name, each, one) for each, one in zip(value, kinds, strict=False))
         raise ConfigurationError(f"{name} is {value!r}; a list is needed")
     if isinstance(value, bool | np.bool_):
         fits, make = kind is bool, bool
@@ -341,10 +357,19 @@ class View:
                 self._convert(name, columns)
 
     def _convert(self, name: str, columns: int) -> None:
-        """Make an attribute an array of so many columns for every robot, or refuse it."""
+        """Make an attribute an array with columns for every robot, or refuse it."""
         values, needed = as_array(f"{name} of a view", getattr(self, name)), (*self.active.shape, columns)
         require(values.shape == needed, f"a view has {name} of shape {values.shape}; {needed} is needed")
+        require(
+            is_plausible(values[self.active]),
+            f"a view has {name} that is not finite or exceeds {LARGEST:g}; no command can rest on it",
+        )
         object.__setattr__(self, name, values)
+
+
+def is_plausible(values: FloatArray) -> bool:
+    """Tell whether all values are finite and none exceeds ``LARGEST``, so that no law about them overflows."""
+    return bool((np.abs(values) <= LARGEST).all())
 
 
 @dataclass(frozen=True)

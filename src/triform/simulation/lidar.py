@@ -36,11 +36,11 @@ def _checked_batch(poses: FloatArray, active: BoolArray) -> tuple[FloatArray, Bo
 
 
 @functools.lru_cache(maxsize=16)
-def scan_rays(config: ScanConfig) -> ScanRays:
-    """Return the rays of a scan as the kernels take them."""
+def scan_rays(config: ScanConfig, x: float = 0.0, y: float = 0.0) -> ScanRays:
+    """Return the rays of a scan from (x, y) in the robot's frame [m] as the kernels take them."""
     angles = config.angles
     limits = (float(config.angle_min), float(config.range_min), float(config.range_max))
-    return ScanRays(*limits, np.cos(angles), np.sin(angles))
+    return ScanRays(*limits, np.cos(angles), np.sin(angles), float(x), float(y))
 
 
 def cast_scans(
@@ -51,6 +51,7 @@ def cast_scans(
     config: ScanConfig,
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
+    eye: tuple[float, float] = (0.0, 0.0),
 ) -> RangeArray:
     """Return what every robot's LiDAR would measure at one instant, without range noise.
 
@@ -62,20 +63,21 @@ def cast_scans(
         config: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
         dtype: Floating type of the ranges.
+        eye: Where the LiDAR is on each robot, forward and left of its centre [m].
 
     Returns:
         Ranges, shape (B, N, R) [m]: ``+inf`` beyond ``range_max``, ``-inf`` below ``range_min`` and throughout for
-        a robot whose centre lies inside an obstacle.
+        a robot whose LiDAR lies inside an obstacle.
 
     Raises:
         ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
     if offsets is not None:
-        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype)
+        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye)
     places, mask = _checked_batch(poses, active)
     worlds, robots = mask.shape
     ranges = np.empty((worlds, robots, config.rays), dtype)
-    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config)
+    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
     if robots <= SMALL_TEAM or worlds >= usable_threads():
         in_parts(
             lambda first, last: cast_worlds(places, mask, scene, rays, ranges, first, last),
@@ -108,6 +110,7 @@ def cast_rolling(
     config: ScanConfig,
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
+    eye: tuple[float, float] = (0.0, 0.0),
 ) -> RangeArray:
     """Return a turn in which ray k is measured at the share k / R of the way from ``start`` to ``end``.
 
@@ -122,6 +125,7 @@ def cast_rolling(
         config: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
         dtype: Floating type of the ranges.
+        eye: Where the LiDAR is on each robot, forward and left of its centre [m].
 
     Returns:
         Ranges, shape (B, N, R) [m], as ``cast_scans``.
@@ -138,7 +142,7 @@ def cast_rolling(
         raise ConfigurationError(f"angle offsets of shape {errors.shape} given; {shape} is needed")
     ranges = np.full(shape, np.inf, dtype)
     share_step = 0.0 if start is end else 1.0 / config.rays
-    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config)
+    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
     in_parts(
         lambda first, last: cast_moving_worlds(start, end, mask, scene, rays, errors, share_step, ranges, first, last),
         len(ranges), ranges.size, MOVING_RAYS_PER_THREAD,

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from triform.simulation.mounting import Mounting
 from triform.types import (
     Body,
     ConfigurationError,
@@ -28,7 +29,7 @@ def _is_positive(value: float) -> bool:
 
 @dataclass(frozen=True)
 class Footprint:
-    """Outline of a robot seen from above, centred on the LiDAR.
+    """Outline of a robot seen from above, centred on its base.
 
     Attributes:
         shape: ``"box"`` or ``"circle"``.
@@ -131,8 +132,8 @@ class Footprint:
 #: DJI RoboMaster EP.
 ROBOMASTER_EP = Footprint.box(0.320, 0.240)
 
-#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, centred on the
-#: LiDAR as all footprints are; circles are named after their radius in centimetres, the box after its side.
+#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, around its
+#: centre as all footprints are; circles are named after their radius in centimetres, the box after its side.
 FOOTPRINTS = {
     "ep": ROBOMASTER_EP,
     "engineer": Footprint.box(0.410, 0.240),
@@ -249,6 +250,8 @@ class Profile:
         latency: Time from a finished scan until a command can use it [s].
         time_step: Longest integration step [s].
         odometry: Whether a robot's wheels tell it how far it has come.
+        mounting: Where the LiDAR is on the base, and what it cannot see from there. A simulated LiDAR's own errors and
+            the order of its rays do not depend on its yaw, nor on whether it is upright.
     """
 
     name: str
@@ -259,6 +262,7 @@ class Profile:
     latency: float = 0.0
     time_step: float = 0.01
     odometry: bool = True
+    mounting: Mounting = field(default_factory=Mounting)
 
     def __post_init__(self) -> None:
         convert_fields(self)
@@ -270,6 +274,11 @@ class Profile:
     def seeing(self, reach: float) -> Profile:
         """Return these robots with a LiDAR that looks up to ``reach`` far [m]."""
         return replace(self, lidar=replace(self.lidar, scan=replace(self.lidar.scan, range_max=reach)))
+
+    @property
+    def from_lidar(self) -> ScanConfig:
+        """The scan from where the LiDAR is: as far beyond what the robot uses as the LiDAR is off its centre."""
+        return replace(self.lidar.scan, range_max=self.lidar.scan.range_max + self.mounting.offset)
 
 
 IDEAL = Profile("ideal")
