@@ -187,6 +187,8 @@ def test_only_truth_values_say_who_is_active(active: Any) -> None:
         (lambda: make_world(robots="9"), "robots is '9'; a whole number is needed"),
         (lambda: make_world(distance="1"), "distance is '1'; a number is needed"),
         (lambda: make_world(seed=None), "seed is None; a whole number is needed"),
+        (lambda: World(np.zeros((1, 2, 3)), IDEAL, seeds=[-1]), "seed is -1; it must not be negative"),
+        (lambda: World(np.zeros((1, 2, 3)), IDEAL, seeds=["1"]), "seed is '1'; a whole number is needed"),
         (lambda: get_profile(None), "profile is None; a text is needed"),
         (lambda: make_world().apply(np.zeros((1, 9, 3)), "1"), "duration is '1'; a number is needed"),
         (lambda: make_world().remove_robot(0, 1.0), "robot is 1.0; a whole number is needed"),
@@ -227,7 +229,18 @@ REQUIRED: dict[str, dict[str, Any]] = {
     "LidarModel": {"name": "mine", "samples_per_second": 4500.0, "period": 0.1, "range_min": 0.1, "range_max": 8.0},
 }
 #: Not configurations: they hold arrays, or are made of others that are checked.
-HELD = {"Trajectory", "Scan", "View", "PrivilegedView", "StateBuffer", "LaserScan", "PolicySpec", "TrainConfig"}
+HELD = {
+    "Manifest",
+    "Shard",
+    "Trajectory",
+    "Scan",
+    "View",
+    "PrivilegedView",
+    "StateBuffer",
+    "LaserScan",
+    "PolicySpec",
+    "TrainConfig",
+}
 SIMPLE = (bool, int, float, str, Path)
 
 
@@ -235,11 +248,17 @@ def configurations() -> list[type]:
     """All dataclasses of the package that check what they are made of."""
     found = []
     for each in pkgutil.walk_packages(triform.__path__, "triform."):
-        if not each.name.endswith("__main__"):
-            for kind in vars(importlib.import_module(each.name)).values():
-                checked = isinstance(kind, type) and is_dataclass(kind) and hasattr(kind, "__post_init__")
-                if checked and kind.__module__ == each.name and kind.__name__ not in HELD and kind.__name__[0] != "_":
-                    found.append(kind)
+        if each.name.endswith("__main__"):
+            continue
+        try:
+            module = importlib.import_module(each.name)
+        except ModuleNotFoundError:
+            # Of an extra that is not installed.
+            continue
+        for kind in vars(module).values():
+            checked = isinstance(kind, type) and is_dataclass(kind) and hasattr(kind, "__post_init__")
+            if checked and kind.__module__ == each.name and kind.__name__ not in HELD and kind.__name__[0] != "_":
+                found.append(kind)
     return sorted(found, key=lambda kind: (kind.__module__, kind.__name__))
 
 

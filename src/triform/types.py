@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import difflib
 import functools
+import itertools
 import numbers
 import os
 import sys
@@ -160,8 +161,8 @@ def converted(name: str, value: Any, kind: Any) -> Any:
     Args:
         name: What the value is called in an error.
         value: The value.
-        kind: ``bool``, ``int``, ``float``, ``str``, ``Path``, a dataclass, one of these or ``None``, or a tuple of any
-            number of these; values of other types are left as they are.
+        kind: ``bool``, ``int``, ``float``, ``str``, ``Path``, a dataclass, one of these or ``None``, or a tuple of
+            these; values of other types are left as they are.
 
     Raises:
         ConfigurationError: The value is of another type; the sentence says of which one is needed.
@@ -172,9 +173,10 @@ def converted(name: str, value: Any, kind: Any) -> Any:
     if get_origin(kind) in (Union, UnionType):
         rest = [each for each in inner if each is not NoneType]
         return value if value is None or len(rest) > 1 else converted(name, value, rest[0])
-    if get_origin(kind) is tuple and inner[1:] == (...,):
-        if isinstance(value, list | tuple | np.ndarray):
-            return tuple(converted(name, each, inner[0]) for each in value)
+    if get_origin(kind) is tuple:
+        kinds = itertools.repeat(inner[0]) if inner[1:] == (...,) else inner
+        if isinstance(value, list | tuple | np.ndarray) and (inner[1:] == (...,) or len(value) == len(inner)):
+            return tuple(converted(name, each, one) for each, one in zip(value, kinds, strict=False))
         raise ConfigurationError(f"{name} is {value!r}; a list is needed")
     if isinstance(value, bool | np.bool_):
         fits, make = kind is bool, bool
