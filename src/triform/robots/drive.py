@@ -58,8 +58,8 @@ class DriveConfig:
         profile: Robot profile, whose footprint, speed, lag and latency hold: a name or a TOML file.
         max_speed: Largest speed along x and along y [m/s]; the profile's if omitted.
         max_turn_rate: Largest turn rate [rad/s].
-        watchdog: How long the base holds a command that no newer one has followed [s]; at least two control periods,
-            because an answer of the base may take half of it.
+        watchdog: How long the base holds a command that no newer one follows [s]; at least two control periods, because
+            the base has to confirm a newer one within this time.
         duration: How long to drive [s]; until Ctrl-C if omitted.
         dry_run: Whether commands are shown and not sent; no base is needed then.
         record: Folder for a recording.
