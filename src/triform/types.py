@@ -37,8 +37,20 @@ NOISE_PERIOD = 0.5
 Value = TypeVar("Value")
 
 
+def printable(text: str) -> str:
+    """Return text that others wrote as a terminal may show it: what is no printable character becomes its escape.
+
+    Names of files, answers of a robot, the log of another program and the like can hold sequences that steer a
+    terminal, ends of lines, or characters that no encoding has.
+    """
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
 class TriformError(Exception):
-    """Something the user gave or the machine did is wrong; the message says what in one sentence."""
+    """Something the user gave or the machine did is wrong; the message says what in one sentence, all printable."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 class ConfigurationError(TriformError, ValueError):

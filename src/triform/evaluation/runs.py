@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import TypeVar
 
 from triform.engines import Engine, EngineName, Report, Task, check_engine, open_engine
-from triform.types import require
+from triform.limits import check_threads
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -34,7 +34,7 @@ class Execution:
     ray_address: str | None = None
 
     def __post_init__(self) -> None:
-        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        check_threads(self.threads)
         check_engine(self.engine, self.ray_address)
 
     def open_engine(self) -> AbstractContextManager[Engine]:
