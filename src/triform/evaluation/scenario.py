@@ -20,6 +20,7 @@ from triform.evaluation.placement import blocked_starts
 from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.runs import chunks
 from triform.kernels import kernels_were_compiled
+from triform.limits import require_at_most
 from triform.robots.gazebo import GazeboBase, GazeboServer, GazeboTeam, braked
 from triform.simulation import (
     Arena,
@@ -45,6 +46,8 @@ from triform.types import (
 
 SimulatorName = Literal["builtin", "gazebo"]
 SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "gazebo")
+#: A million seconds are eleven days.
+_LONGEST = 1_000_000
 #: Step of Gazebo's physics for each base [s].
 GAZEBO_STEPS: dict[GazeboBase, float] = {"planar": 0.01, "mecanum": 0.001}
 
@@ -90,6 +93,7 @@ class Scenario:
             f"duration is {self.duration} s; a run is measured over its last {WINDOW:g} s, so it must be finite and at "
             "least that long",
         )
+        require_at_most("duration", self.duration, _LONGEST, " s")
         require(self.simulator in SIMULATORS, f"simulator is {self.simulator!r}; allowed are {', '.join(SIMULATORS)}")
         require(
             self.gazebo_base == "planar" or self.simulator == "gazebo",
