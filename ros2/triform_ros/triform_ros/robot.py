@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -17,11 +17,12 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan as LaserScanMessage
 
 from triform.perception import MapRules, map_workspace, occupied_into
+from triform.robots.ldrobot import Turn
 from triform.robots.limits import limit_acceleration
-from triform.robots.odometry import PoseHistory
+from triform.robots.odometry import Track
 from triform.robots.real import Step
 from triform.simulation import Drive
-from triform.types import FloatArray, MapArray, MapConfig, RangeArray, ScanConfig, TriformError, View
+from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, TriformError, View
 from triform_ros.conversions import fill_twist, laser_scan, map_message, pose_of, seconds
 
 #: A repeated message is shown this often at most [s].
@@ -38,21 +39,6 @@ def host_time(node: Node, stamp: Time) -> float:
     """
     age = 1e-9 * node.get_clock().now().nanoseconds - seconds(stamp)
     return time.monotonic() - (max(age, 0.0) if stamp.sec or stamp.nanosec else 0.0)
-
-
-@dataclass(frozen=True)
-class Turn:
-    """One scan on the grid.
-
-    Attributes:
-        ranges: Ranges, shape (R,) [m].
-        started: When the first ray was measured, by the host's monotonic clock [s].
-        ended: When the last ray was measured [s].
-    """
-
-    ranges: RangeArray
-    started: float
-    ended: float
 
 
 class ScanTopic:
@@ -139,7 +125,7 @@ class TwistTopic:
         self._node, self._frame, self._stamped = node, frame, stamped
         self._limits, self._period = limits, period
         self._command: FloatArray = np.zeros(3)
-        self._history = PoseHistory()
+        self._history = Track(angle=True)
         self._publisher = node.create_publisher(TwistStamped if stamped else Twist, "cmd_vel", 1)
         if odometry:
             node.create_subscription(Odometry, "odom", self._note, qos_profile_sensor_data)

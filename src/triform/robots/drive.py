@@ -164,20 +164,6 @@ class DriveConfig:
         """Speeds that commands are cut to."""
         return Drive(max_axis_speed=self.speed, max_turn_rate=self.max_turn_rate, lag=self.kind.drive.lag)
 
-    def open_base(self) -> RoboMaster:
-        """Connect to the base.
-
-        Raises:
-            TriformError: It cannot be reached, refuses, or does not take the limits.
-        """
-        return RoboMaster(
-            self.base_address,
-            self.local_address,
-            self.watchdog,
-            max_speed=self.speed,
-            max_turn_rate=self.max_turn_rate,
-        )
-
     def make_controller(self, clock: Callable[[], object]) -> Controller[View]:
         """Make the controller, guarded if so asked.
 
@@ -248,7 +234,14 @@ def run_drive(config: DriveConfig, listener: DriveListener) -> None:
         _warm_up(lidar, controller, config)
         base = None
         if not config.dry_run:
-            base = stack.enter_context(config.open_base())
+            base = RoboMaster(
+                config.base_address,
+                config.local_address,
+                config.watchdog,
+                max_speed=config.speed,
+                max_turn_rate=config.max_turn_rate,
+            )
+            stack.enter_context(base)
         signals = stack.enter_context(StopSignals())
         recorder = None
         if config.record is not None:

@@ -159,13 +159,12 @@ class Emulation:
             np.random.default_rng([config.robots, config.seed, config.index, 1, robot])
             for robot in range(config.robots)
         ]
-        self._stack = ExitStack()
         self.lidars: list[LidarEmulator] = []
         self.bases: list[RoboMasterEmulator] = []
         with ExitStack() as opened:
             for robot, rng in enumerate(self._rngs):
-                self.lidars.append(opened.enter_context(closing(LidarEmulator(model, rng))))
-                self.bases.append(opened.enter_context(closing(RoboMasterEmulator(config.base_address(robot)))))
+                self.lidars.append(opened.enter_context(LidarEmulator(model, rng)))
+                self.bases.append(opened.enter_context(RoboMasterEmulator(config.base_address(robot))))
             self._stack = opened.pop_all()
 
     @property

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from triform.robots.real import Step, Turn
+from triform.robots.ldrobot import Turn
+from triform.robots.real import Step
 
 #: Parts of the way from a finished scan to the wheels, and what each is.
 PARTS = {

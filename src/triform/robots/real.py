@@ -10,33 +10,15 @@ from typing import Protocol
 
 import numpy as np
 
+from triform.robots.ldrobot.turns import Turn
 from triform.simulation import Drive, limit_twists
 from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
 from triform.simulation.odometry import relative_poses, resting_poses
-from triform.types import FloatArray, RangeArray, Scan, ScanConfig, TriformError, View, require
+from triform.types import FloatArray, Scan, ScanConfig, TriformError, View, require
 
 #: A robot's velocity is taken over this long [s].
 _SPEED_TIME = 0.1
 _ONE = np.ones((1, 1), dtype=np.bool_)
-
-
-class Turn(Protocol):
-    """One finished turn of a LiDAR."""
-
-    @property
-    def ranges(self) -> RangeArray:
-        """Ranges on a fixed grid, shape (R,) [m]; REP 117 for what is no range."""
-        ...
-
-    @property
-    def started(self) -> float:
-        """When the first ray was measured, by the host's monotonic clock [s]."""
-        ...
-
-    @property
-    def ended(self) -> float:
-        """When the last ray was measured, by the same clock [s]."""
-        ...
 
 
 class Lidar(Protocol):
@@ -125,6 +107,10 @@ class RealRobot:
 
     A robot without a fresh scan stands still, whatever its controller says: a controller takes an empty scan for an
     empty room, and one that searches for its team would drive off blind.
+
+    Attributes:
+        control_period: Time between two commands [s].
+        late_ticks: Commands that came after their control period had ended.
     """
 
     def __init__(
@@ -160,7 +146,7 @@ class RealRobot:
         require(0 < scan_timeout < math.inf, f"scan_timeout is {scan_timeout} s; it must be positive and finite")
         self._lidar, self._base = lidar, base
         self._scan = lidar.scan
-        self._period = control_period
+        self.control_period = control_period
         self._limits = limits
         self._keys = noise_keys([np.random.SeedSequence(seed)], 1)
         self._noise_scale = noise_scale(limits)
@@ -170,23 +156,8 @@ class RealRobot:
         self._turn: Turn | None = None
         self._view: View | None = None
         self._blind = False
-        self._late_ticks = 0
+        self.late_ticks = 0
         self._started = self._seen = self._due = time.monotonic()
-
-    @property
-    def control_period(self) -> float:
-        """Time between two commands [s]."""
-        return self._period
-
-    @property
-    def started(self) -> float:
-        """When the robot started, by the host's monotonic clock [s]."""
-        return self._started
-
-    @property
-    def late_ticks(self) -> int:
-        """Commands that came after their control period had ended."""
-        return self._late_ticks
 
     def observe(self) -> View:
         """Return the newest scan; ``+inf`` before the first one, ``NaN`` if it is too old.
@@ -232,7 +203,7 @@ class RealRobot:
         self._due += duration
         late = sent > self._due
         if late:
-            self._late_ticks += 1
+            self.late_ticks += 1
             self._due = sent
         if self._on_sent is not None and self._view is not None:
             pose = None if self._base is None else self._base.odometry(sent)

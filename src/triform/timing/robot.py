@@ -122,20 +122,13 @@ def run_bench(config: BenchConfig, listener: Listener = SILENT) -> dict[str, Any
 def _measure(config: BenchConfig, folder: Path, seconds: float) -> dict[str, Any]:
     """Let another process do the steps; its kernels are kept in ``folder``."""
     job = Job(time.monotonic(), config.controller.weights, config.distance, seconds)
-    command = [
-        sys.executable,
-        "-m",
-        "triform.timing.robot_step",
-        str(folder / "scans.npz"),
-        json.dumps(asdict(job)),
-    ]
+    command = [sys.executable, "-m", "triform.timing.robot_step", f"{folder}/scans.npz", json.dumps(asdict(job))]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "kernels")}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
         raise TriformError(f"the process that takes the steps failed with status {done.returncode}: {last}")
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    return dict(json.loads(done.stdout))
 
 
 def judge(cold: dict[str, dict[str, float]], rate: float) -> tuple[list[str], bool]:
@@ -204,12 +197,11 @@ def _show(result: dict[str, Any], verdict: list[str], listener: Listener) -> Non
         for name, what in _STARTS.items()
     ]
     listener.table("start, in s", ["", "kernels compiled", "kernels kept"], starts)
-    rows = []
-    for caches in ("warm", "cold"):
-        for name, seconds in result["seconds"][caches].items():
-            rows.append(
-                [caches, _STAGES[name], *(f"{1e3 * seconds[key]:.3f}" for key in ("median", "p95", "p99", "max"))]
-            )
+    rows = [
+        [caches, _STAGES[name], *(f"{1e3 * value:.3f}" for value in quantiles.values())]
+        for caches in ("warm", "cold")
+        for name, quantiles in result["seconds"][caches].items()
+    ]
     title = f"time, in ms: {steps['warm']} steps one after the other, {steps['cold']} with cold caches"
     listener.table(title, ["caches", "stage", "50 %", "95 %", "99 %", "max"], rows)
     listener.say(f"peak memory {result['peak_memory'] / 2**20:.0f} MiB")

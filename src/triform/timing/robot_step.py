@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from triform.control import LearnedPolicy, SafetyFilter, SafetySettings, weights_folder
-from triform.evaluation.metrics import quantile
 from triform.policy import PolicyRuntime
 from triform.robots.ldrobot import LD20, PACKET, PacketParser, TurnAssembler, encode_packets
 from triform.robots.ldrobot.packets import CLOCK_WRAP
@@ -69,13 +68,11 @@ class Moment:
 
 
 def save_moments(path: Path, views: Sequence[View]) -> None:
-    """Write what single robots see, B = N = 1, with noise and odometry, and their LiDARs send, to an ``.npz`` file."""
-    scans = [view.scans.ranges[0, 0] for view in views]
+    """Write what single robots see, B = N = 1, with noise and odometry, to an ``.npz`` file."""
     np.savez(
         path,
         scan=json.dumps(asdict(views[0].scans.config)),
-        ranges=np.stack(scans),
-        packets=np.stack([as_packets(scan, turn) for turn, scan in enumerate(scans)]),
+        ranges=np.array([view.scans.ranges[0, 0] for view in views]),
         noise=np.array([view.noise for view in views]),
         odometry=np.array([view.odometry for view in views]),
         time=np.array([view.time for view in views]),
@@ -83,22 +80,22 @@ def save_moments(path: Path, views: Sequence[View]) -> None:
 
 
 def load_moments(path: Path) -> list[Moment]:
-    """Read what ``save_moments`` wrote."""
+    """Read what ``save_moments`` wrote, and add what the LiDARs send."""
     with np.load(path, allow_pickle=False) as saved:
         config = ScanConfig(**json.loads(str(saved["scan"])))
         active = np.ones((1, 1), dtype=np.bool_)
-        names = ("packets", "ranges", "time", "noise", "odometry")
+        columns = zip(*(saved[name] for name in ("ranges", "time", "noise", "odometry")), strict=True)
         return [
             Moment(
-                [read.tobytes() for read in np.array_split(packets.ravel(), round(LD20.period / READ_PERIOD))],
+                [read.tobytes() for read in np.array_split(as_packets(ranges, turn), round(LD20.period / READ_PERIOD))],
                 View(Scan(ranges[None, None], config), active, float(moment), noise=noise, odometry=odometry),
             )
-            for packets, ranges, moment, noise, odometry in zip(*(saved[name] for name in names), strict=True)
+            for turn, (ranges, moment, noise, odometry) in enumerate(columns)
         ]
 
 
 def as_packets(ranges: RangeArray, turn: int) -> NDArray[np.uint8]:
-    """Return the packets of an LD20 that measures a scan in its turn number ``turn``, shape (K, bytes of a packet).
+    """Return the packets of an LD20 that measures a scan in its turn number ``turn``, as bytes, shape (K,).
 
     Args:
         ranges: Ranges of a full turn, counter-clockwise from behind the robot [m], shape (R,).
@@ -115,7 +112,7 @@ def as_packets(ranges: RangeArray, turn: int) -> NDArray[np.uint8]:
     packets["end_angle"] = np.rint(36000 * (first + each - 1) / (count * each))
     packets["samples"]["distance"] = np.where(np.isfinite(ranges), 1000 * ranges, 0).round()[rays].reshape(count, each)
     packets["timestamp"] = 1000 * LD20.period * (turn + (np.arange(count) + 1) / count) % CLOCK_WRAP
-    return np.frombuffer(encode_packets(packets), dtype=np.uint8).reshape(count, -1)
+    return np.frombuffer(encode_packets(packets), dtype=np.uint8)
 
 
 class _Stopwatch:
@@ -179,11 +176,9 @@ def peak_memory() -> int:
 
 def _quantiles(steps: list[list[float]]) -> dict[str, dict[str, float]]:
     """Return quantiles of every stage [s]."""
-    shares = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
-    return {
-        name: {label: quantile(seconds, share) for label, share in shares.items()}
-        for name, seconds in zip(STAGES, np.array(steps).T, strict=True)
-    }
+    quantiles = np.quantile(steps, [0.5, 0.95, 0.99, 1.0], axis=0).T.tolist()
+    labels = ("median", "p95", "p99", "max")
+    return {name: dict(zip(labels, each, strict=True)) for name, each in zip(STAGES, quantiles, strict=True)}
 
 
 def measure(job: Job, moments: Sequence[Moment]) -> dict[str, Any]:

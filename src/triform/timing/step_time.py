@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import prod
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from triform.evaluation.runs import world_seeds
 from triform.evaluation.scenario import Scenario
 from triform.policy.checkpoint import WEIGHTS_FILE
 from triform.threads import limit_threads
-from triform.types import Controller, FloatArray, PrivilegedView, Scan, TriformError
+from triform.types import Controller, FloatArray, PrivilegedView, TriformError
 
 #: Robots of the team whose views are used; they are looked at in so many moments.
 TEAM = 7
@@ -44,21 +45,18 @@ def record_views(scenario: Scenario, seed: int) -> list[PrivilegedView]:
 
 def single_views(views: Sequence[PrivilegedView]) -> list[PrivilegedView]:
     """Return what each robot sees by itself, B = N = 1, robot after robot of every view."""
-    singles = []
-    for view in views:
-        for i in range(view.active.shape[1]):
-            own = (slice(0, 1), slice(i, i + 1))
-            singles.append(
-                PrivilegedView(
-                    scans=Scan(view.scans.ranges[own], view.scans.config),
-                    active=view.active[own],
-                    time=view.time,
-                    poses=view.poses[own],
-                    noise=None if view.noise is None else view.noise[own],
-                    odometry=None if view.odometry is None else view.odometry[own],
-                )
-            )
-    return singles
+    return [
+        replace(
+            view,
+            scans=replace(view.scans, ranges=view.scans.ranges[:, i : i + 1]),
+            active=view.active[:, i : i + 1],
+            poses=view.poses[:, i : i + 1],
+            noise=None if view.noise is None else view.noise[:, i : i + 1],
+            odometry=None if view.odometry is None else view.odometry[:, i : i + 1],
+        )
+        for view in views
+        for i in range(view.active.shape[1])
+    ]
 
 
 def step_times(

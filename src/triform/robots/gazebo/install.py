@@ -42,17 +42,14 @@ def install() -> Installation:
         try:
             with as_file(files("triform.robots.gazebo")) as here:
                 _run_script(here / "install.sh", building)
-            root = building / "root"
-            _check(Installation(building / "liblockstep.so", root if root.is_dir() else None))
+            _check(Installation.of_folder(building))
             for other in folder.iterdir():
                 if _OURS.fullmatch(other.name) and other.is_dir() and other != building:
                     _remove(other)
             building.rename(place)
         finally:
             _remove(building)
-        found = find_gazebo()
-    assert found is not None
-    return found
+        return Installation.of_folder(place)
 
 
 def _run_script(script: Path, building: Path) -> None:

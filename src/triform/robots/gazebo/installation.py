@@ -22,6 +22,12 @@ class Installation:
     plugin: Path
     root: Path | None
 
+    @classmethod
+    def of_folder(cls, folder: Path) -> Installation:
+        """Return what ``make gazebo`` puts into a folder."""
+        root = folder / "root"
+        return cls(folder / "liblockstep.so", root if root.is_dir() else None)
+
 
 def gazebo_folder() -> Path:
     """Return where ``make gazebo`` puts things: ``$TRIFORM_GAZEBO``, else a folder in the user's cache."""
@@ -40,8 +46,6 @@ def version() -> str:
 
 def find_gazebo() -> Installation | None:
     """Return the Gazebo that ``make gazebo`` made ready for this version of triform; ``None`` if there is none."""
-    folder = gazebo_folder() / version()
-    root = folder / "root"
-    found = Installation(folder / "liblockstep.so", root if root.is_dir() else None)
+    found = Installation.of_folder(gazebo_folder() / version())
     runs = found.root is not None or shutil.which("gzserver") is not None
     return found if runs and found.plugin.is_file() else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from typing import Literal
-from xml.etree.ElementTree import Element, SubElement, tostring
+from xml.sax.saxutils import quoteattr
 
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import WHEEL_RADIUS
@@ -54,102 +54,88 @@ def write_world(profile: Profile, arena: Arena, robots: int, base: GazeboBase, t
         time_step: Step of the physics [s].
         plugin: Path of the lock-step plugin as Gazebo sees it.
     """
-    root = Element("sdf", version="1.6")
-    world = SubElement(root, "world", name="triform")
-    physics = SubElement(world, "physics", type="ode")
-    _fill(physics, max_step_size=time_step, real_time_factor=0, real_time_update_rate=0)
-    ode = SubElement(physics, "ode")
-    _fill(SubElement(ode, "solver"), type="quick", iters=20)
-    _fill(SubElement(ode, "constraints"), cfm=0, erp=0.2)
     scan, drive = profile.lidar.scan, braked(profile.drive)
-    _fill(
-        SubElement(world, "plugin", name="lockstep", filename=plugin),
-        robots=robots, rays=scan.rays, angle_min=scan.angle_min, range_min=scan.range_min, range_max=scan.range_max,
-        lidar_height=_LIDAR_HEIGHT, wheel_radius=WHEEL_RADIUS, lag=drive.lag,
-        max_acceleration=drive.max_acceleration, max_turn_acceleration=drive.max_turn_acceleration,
-    )  # fmt: skip
-    _add_ground(world)
+    obstacles = []
     for index, (x1, y1, x2, y2) in enumerate(arena.walls.tolist()):
-        length, middle = math.hypot(x2 - x1, y2 - y1), ((x1 + x2) / 2, (y1 + y2) / 2)
-        shape = _box(length, WALL_THICKNESS, _WALL_HEIGHT)
-        _add_obstacle(world, f"wall{index}", (*middle, math.atan2(y2 - y1, x2 - x1)), shape)
+        place = ((x1 + x2) / 2, (y1 + y2) / 2, math.atan2(y2 - y1, x2 - x1))
+        shape = _box(math.hypot(x2 - x1, y2 - y1), WALL_THICKNESS, _WALL_HEIGHT)
+        obstacles.append(_obstacle(f"wall{index}", place, shape))
     for index, (x, y, radius) in enumerate(arena.pillars.tolist()):
-        _add_obstacle(world, f"pillar{index}", (x, y, 0.0), _cylinder(radius, _WALL_HEIGHT))
-    for index in range(robots):
-        _add_robot(world, index, profile.footprint, base)
-    return tostring(root, encoding="unicode")
+        obstacles.append(_obstacle(f"pillar{index}", (x, y, 0.0), _cylinder(radius, _WALL_HEIGHT)))
+    ground = _collision("<plane><normal>0 0 1</normal><size>100 100</size></plane>", 0.0, _BODY | _WHEEL, (1.0, 1.0))
+    return f"""<sdf version="1.6"><world name="triform">
+    <physics type="ode">
+      <max_step_size>{time_step}</max_step_size>
+      <real_time_factor>0</real_time_factor><real_time_update_rate>0</real_time_update_rate>
+      <ode>
+        <solver><type>quick</type><iters>20</iters></solver>
+        <constraints><cfm>0</cfm><erp>0.2</erp></constraints>
+      </ode>
+    </physics>
+    <plugin name="lockstep" filename={quoteattr(plugin)}>
+      <robots>{robots}</robots><rays>{scan.rays}</rays><angle_min>{scan.angle_min}</angle_min>
+      <range_min>{scan.range_min}</range_min><range_max>{scan.range_max}</range_max>
+      <lidar_height>{_LIDAR_HEIGHT}</lidar_height><wheel_radius>{WHEEL_RADIUS}</wheel_radius><lag>{drive.lag}</lag>
+      <max_acceleration>{drive.max_acceleration}</max_acceleration>
+      <max_turn_acceleration>{drive.max_turn_acceleration}</max_turn_acceleration>
+    </plugin>
+    <model name="ground"><static>true</static><link name="link">{ground}</link></model>
+    {"".join(obstacles)}
+    {"".join(_robot(index, profile.footprint, base) for index in range(robots))}
+    </world></sdf>"""
 
 
-def _fill(parent: Element, /, **values: object) -> None:
-    """Append one child for every value; ``repr`` keeps all bits of a number."""
-    for name, value in values.items():
-        SubElement(parent, name).text = value if isinstance(value, str) else repr(value)
+def _pose(x: float, y: float, z: float, heading: float = 0.0) -> str:
+    return f"<pose>{x} {y} {z} 0 0 {heading}</pose>"
 
 
-def _pose(parent: Element, x: float, y: float, z: float, heading: float = 0.0) -> None:
-    _fill(parent, pose=f"{x!r} {y!r} {z!r} 0 0 {heading!r}")
+def _box(length: float, width: float, height: float) -> str:
+    return f"<box><size>{length} {width} {height}</size></box>"
 
 
-def _box(length: float, width: float, height: float) -> Element:
-    box = Element("box")
-    _fill(box, size=f"{length!r} {width!r} {height!r}")
-    return box
+def _cylinder(radius: float, length: float) -> str:
+    return f"<cylinder><radius>{radius}</radius><length>{length}</length></cylinder>"
 
 
-def _cylinder(radius: float, length: float) -> Element:
-    cylinder = Element("cylinder")
-    _fill(cylinder, radius=radius, length=length)
-    return cylinder
+def _collision(shape: str, height: float, bits: int, friction: tuple[float, float]) -> str:
+    """Return a body whose centre is at ``height`` [m], with friction along and across its first direction."""
+    return f"""<collision name="body">
+      {_pose(0.0, 0.0, height)}<geometry>{shape}</geometry>
+      <surface>
+        <friction><ode><mu>{friction[0]}</mu><mu2>{friction[1]}</mu2><fdir1>1 0 0</fdir1></ode></friction>
+        <contact><collide_bitmask>{bits}</collide_bitmask></contact>
+      </surface>
+    </collision>"""
 
 
-def _add_collision(link: Element, shape: Element, height: float, bits: int, friction: tuple[float, float]) -> None:
-    """Append a body whose centre is at ``height`` [m], with friction along and across its first direction."""
-    collision = SubElement(link, "collision", name="body")
-    _pose(collision, 0.0, 0.0, height)
-    SubElement(collision, "geometry").append(shape)
-    surface = SubElement(collision, "surface")
-    _fill(SubElement(SubElement(surface, "friction"), "ode"), mu=friction[0], mu2=friction[1], fdir1="1 0 0")
-    _fill(SubElement(surface, "contact"), collide_bitmask=bits)
-
-
-def _add_inertia(link: Element, mass: float, height: float, moments: tuple[float, float, float]) -> None:
-    inertial = SubElement(link, "inertial")
-    _pose(inertial, 0.0, 0.0, height)
-    _fill(inertial, mass=mass)
+def _inertia(mass: float, height: float, moments: tuple[float, float, float]) -> str:
     ixx, iyy, izz = moments
-    _fill(SubElement(inertial, "inertia"), ixx=ixx, iyy=iyy, izz=izz, ixy=0, ixz=0, iyz=0)
+    return f"""<inertial>{_pose(0.0, 0.0, height)}<mass>{mass}</mass>
+      <inertia>
+        <ixx>{ixx}</ixx><iyy>{iyy}</iyy><izz>{izz}</izz><ixy>0</ixy><ixz>0</ixz><iyz>0</iyz>
+      </inertia>
+    </inertial>"""
 
 
-def _add_static(world: Element, name: str) -> tuple[Element, Element]:
-    model = SubElement(world, "model", name=name)
-    _fill(model, static="true")
-    return model, SubElement(model, "link", name="link")
-
-
-def _add_ground(world: Element) -> None:
-    _, link = _add_static(world, "ground")
-    plane = Element("plane")
-    _fill(plane, normal="0 0 1", size="100 100")
-    _add_collision(link, plane, 0.0, _BODY | _WHEEL, (1.0, 1.0))
-
-
-def _add_obstacle(world: Element, name: str, place: tuple[float, float, float], shape: Element) -> None:
-    model, link = _add_static(world, name)
+def _obstacle(name: str, place: tuple[float, float, float], shape: str) -> str:
     x, y, heading = place
-    _pose(model, x, y, _WALL_HEIGHT / 2, heading)
-    _add_collision(link, shape, 0.0, _BODY, (0.0, 0.0))
+    return f"""<model name="{name}"><static>true</static>
+      <link name="link">{_collision(shape, 0.0, _BODY, (0.0, 0.0))}</link>
+      {_pose(x, y, _WALL_HEIGHT / 2, heading)}
+    </model>"""
 
 
-def _add_robot(world: Element, index: int, footprint: Footprint, base: GazeboBase) -> None:
-    """Append a robot, far below the ground until it is placed."""
-    model = SubElement(world, "model", name=f"robot{index}")
-    _pose(model, 0.0, 0.0, -100.0 * (index + 1))
-    link = SubElement(model, "link", name="base")
+def _robot(index: int, footprint: Footprint, base: GazeboBase) -> str:
+    """Return a robot, far below the ground until it is placed."""
     wheels = base == "mecanum"
+    require(
+        not wheels or min(footprint.length, footprint.width) > 2 * _WHEEL_PLACE,
+        f"a footprint of {footprint.length} m x {footprint.width} m is too small for mecanum wheels "
+        f"{2 * _WHEEL_PLACE} m apart; use the planar drive",
+    )
     mass = MASS - 4 * _WHEEL_MASS if wheels else MASS
     across, along = (mass * (size**2 + HEIGHT**2) / 12 for size in (footprint.width, footprint.length))
     turning = mass * (footprint.length**2 + footprint.width**2) / (8 * 2 if footprint.is_circle else 12)
-    _add_inertia(link, mass, _CENTRE_OF_MASS, (across, along, turning))
     # On wheels the body hangs clear of the ground.
     clearance = WHEEL_RADIUS if wheels else 0.0
     height = HEIGHT - clearance
@@ -158,26 +144,24 @@ def _add_robot(world: Element, index: int, footprint: Footprint, base: GazeboBas
         if footprint.is_circle
         else _box(footprint.length, footprint.width, height)
     )
-    _add_collision(link, shape, clearance + height / 2, _BODY, (0.0, 0.0))
-    if wheels:
-        require(
-            min(footprint.length, footprint.width) > 2 * _WHEEL_PLACE,
-            f"a footprint of {footprint.length} m x {footprint.width} m is too small for mecanum wheels "
-            f"{2 * _WHEEL_PLACE} m apart; use the planar drive",
-        )
-        for name, x, y in (("fl", 1, 1), ("fr", 1, -1), ("rl", -1, 1), ("rr", -1, -1)):
-            _add_wheel(model, name, x * _WHEEL_PLACE, y * _WHEEL_PLACE)
+    signs = (("fl", 1, 1), ("fr", 1, -1), ("rl", -1, 1), ("rr", -1, -1)) if wheels else ()
+    return f"""<model name="robot{index}">{_pose(0.0, 0.0, -100.0 * (index + 1))}
+      <link name="base">
+        {_inertia(mass, _CENTRE_OF_MASS, (across, along, turning))}
+        {_collision(shape, clearance + height / 2, _BODY, (0.0, 0.0))}
+      </link>
+      {"".join(_wheel(name, x * _WHEEL_PLACE, y * _WHEEL_PLACE) for name, x, y in signs)}
+    </model>"""
 
 
-def _add_wheel(model: Element, name: str, x: float, y: float) -> None:
-    link = SubElement(model, "link", name=name)
-    _pose(link, x, y, WHEEL_RADIUS)
+def _wheel(name: str, x: float, y: float) -> str:
     moment = 0.5 * _WHEEL_MASS * WHEEL_RADIUS**2
-    _add_inertia(link, _WHEEL_MASS, 0.0, (moment, moment, moment))
-    sphere = Element("sphere")
-    _fill(sphere, radius=WHEEL_RADIUS)
+    sphere = f"<sphere><radius>{WHEEL_RADIUS}</radius></sphere>"
     # Rollers: full friction along the first direction, which the plugin turns, none across it.
-    _add_collision(link, sphere, 0.0, _WHEEL, (1.0, 0.0))
-    joint = SubElement(model, "joint", name=f"{name}_axle", type="revolute")
-    _fill(joint, parent="base", child=name)
-    _fill(SubElement(joint, "axis"), xyz="0 1 0")
+    return f"""<link name="{name}">{_pose(x, y, WHEEL_RADIUS)}
+      {_inertia(_WHEEL_MASS, 0.0, (moment, moment, moment))}
+      {_collision(sphere, 0.0, _WHEEL, (1.0, 0.0))}
+    </link>
+    <joint name="{name}_axle" type="revolute">
+      <parent>base</parent><child>{name}</child><axis><xyz>0 1 0</xyz></axis>
+    </joint>"""

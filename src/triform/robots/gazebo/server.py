@@ -12,7 +12,6 @@ import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,6 +74,11 @@ class GazeboServer:
 
     Robots wait out of sight until ``reset`` or ``add`` places them. The process ends with this object, and when the
     thread that made it ends, however that comes about. Also a context manager.
+
+    Attributes:
+        profile: Kind of all robots.
+        arena: Walls and pillars.
+        time_step: Step of the physics [s].
     """
 
     def __init__(
@@ -115,10 +119,8 @@ class GazeboServer:
         missing = [tool for tool in _TOOLS if shutil.which(tool, path=_PATH) is None]
         if missing:
             raise GazeboError(f"Gazebo cannot be kept private without {missing[0]}; install util-linux and iproute2")
-        self._profile = profile
-        self._arena = arena
+        self.profile, self.arena, self.time_step = profile, arena, time_step
         self._rays = profile.lidar.scan.rays
-        self._time_step = time_step
         self._active = np.zeros(robots + spare, dtype=np.bool_)
         self._placed = np.full((robots + spare, 3), np.nan)
         self._timeout = timeout
@@ -144,30 +146,13 @@ class GazeboServer:
     def __enter__(self) -> GazeboServer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def profile(self) -> Profile:
-        """Kind of all robots."""
-        return self._profile
-
-    @property
-    def arena(self) -> Arena:
-        """Walls and pillars."""
-        return self._arena
 
     @property
     def active(self) -> BoolArray:
         """Which robots exist, shape (N,)."""
         return self._active.copy()
-
-    @property
-    def time_step(self) -> float:
-        """Step of the physics [s]."""
-        return self._time_step
 
     @property
     def pid(self) -> int | None:
@@ -196,7 +181,7 @@ class GazeboServer:
             raise TriformError(f"the command {values[robot]} of robot {robot} is not finite")
         if not 0 <= steps < 2**32:
             raise TriformError(f"{steps} steps given; a number from 0 on is needed")
-        return self._request(_STEP, limit_twists(values, self._profile.drive), steps=steps, scan=scan)
+        return self._request(_STEP, limit_twists(values, self.profile.drive), steps=steps, scan=scan)
 
     def reset(self, poses: ArrayLike, scan: bool = False) -> State:
         """Place robots at rest, clear contacts and set time to 0.

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike
 
 from triform.robots.gazebo.sdf import braked
 from triform.robots.gazebo.server import GazeboServer, State
-from triform.simulation.arena import Arena
-from triform.simulation.profiles import Profile
 from triform.simulation.sensors import SensorSuite
 from triform.types import BoolArray, FloatArray, PrivilegedView, TriformError, require
 
@@ -23,6 +21,15 @@ class GazeboTeam:
     exploration noise come from ``SensorSuite``, the same as in the built-in world. Everything happens at the end of a
     step of the physics: a moment between two steps is that of the nearest one, and a rolling LiDAR looks once in every
     ``time_step`` of the profile. Robots that touch are recorded as a collision, because solid bodies cannot overlap.
+
+    Attributes:
+        profile: Kind of all robots.
+        arena: Walls and pillars.
+        control_period: Time between two commands [s].
+        time: Time since the start [s].
+        min_distance: Smallest distance between two centres at any step so far, shape (1,) [m].
+        collided: Whether two robots have touched at any step so far, shape (1,).
+        hit_arena: Whether a robot has touched a wall or pillar at any step so far, shape (1,).
     """
 
     def __init__(
@@ -48,34 +55,17 @@ class GazeboTeam:
         profile = server.profile
         require(profile.lidar.angle_noise == 0, "the rays of Gazebo's LiDAR keep their angles; angle_noise must be 0")
         self._server = server
-        self._time = 0.0
+        self.profile, self.arena, self.control_period = profile, server.arena, profile.control_period
+        self.time = 0.0
+        self.min_distance: FloatArray = np.array([math.inf])
+        self.collided: BoolArray = np.array([False])
+        self.hit_arena: BoolArray = np.array([False])
         self._robots = placed.shape[1]
-        self._min_distance, self._touched, self._touched_arena = math.inf, False, False
         self._take(server.reset(placed[0], scan=True))
         sensing = replace(profile, drive=braked(profile.drive))
         self._senses = SensorSuite(sensing, self.poses, self.active, seeds)
         if not profile.lidar.rolling:
             self._senses.finish(self._ranges(), self.poses, self.active)
-
-    @property
-    def profile(self) -> Profile:
-        """Kind of all robots."""
-        return self._server.profile
-
-    @property
-    def arena(self) -> Arena:
-        """Walls and pillars."""
-        return self._server.arena
-
-    @property
-    def control_period(self) -> float:
-        """Time between two commands [s]."""
-        return self.profile.control_period
-
-    @property
-    def time(self) -> float:
-        """Time since the start [s]."""
-        return self._time
 
     @property
     def poses(self) -> FloatArray:
@@ -92,24 +82,9 @@ class GazeboTeam:
         """Which robots exist, shape (1, N)."""
         return self._state.active[None, : self._robots].copy()
 
-    @property
-    def min_distance(self) -> FloatArray:
-        """Smallest distance between two centres at any step so far, shape (1,) [m]."""
-        return np.array([self._min_distance])
-
-    @property
-    def collided(self) -> BoolArray:
-        """Whether two robots have touched at any step so far, shape (1,)."""
-        return np.array([self._touched])
-
-    @property
-    def hit_arena(self) -> BoolArray:
-        """Whether a robot has touched a wall or pillar at any step so far, shape (1,)."""
-        return np.array([self._touched_arena])
-
     def observe(self) -> PrivilegedView:
         """Return the newest scans whose latency has passed, and everybody's true pose."""
-        return self._senses.view(self._time, self.poses, self.velocities, self.active)
+        return self._senses.view(self.time, self.poses, self.velocities, self.active)
 
     def apply(self, commands: FloatArray, duration: float) -> None:
         """Hold body twists for a while.
@@ -127,14 +102,14 @@ class GazeboTeam:
             raise TriformError(f"commands of shape {values.shape} given; {(1, self._robots, 3)} is needed")
         targets = np.zeros((len(self._state.active), 3))
         targets[: self._robots] = values[0]
-        end = self._time + duration
-        for stop, turn_ends in self._senses.stretches(self._time, duration):
+        end = self.time + duration
+        for stop, turn_ends in self._senses.stretches(self.time, duration):
             self._advance(targets, stop, turn_ends)
-            self._time = stop
+            self.time = stop
             if turn_ends:
                 ranges = None if self.profile.lidar.rolling else self._ranges()
                 self._senses.end_turn(ranges, self.poses, self.active)
-        self._time = end
+        self.time = end
 
     def add_robot(self, world: int, pose: ArrayLike) -> int:
         """Add a spare robot at rest and return its index along axis N, which grows if no place is free.
@@ -165,11 +140,11 @@ class GazeboTeam:
     def _advance(self, targets: FloatArray, stop: float, turn_ends: bool) -> None:
         """Drive until ``stop`` [s], which lies within one turn of the LiDAR."""
         rolling = self.profile.lidar.rolling
-        looks = max(1, math.ceil((stop - self._time) / self.profile.time_step - 1e-6)) if rolling else 1
-        period = (stop - self._time) / looks
-        bounds = self._senses.rays_due(self._time, looks, period, turn_ends)
+        looks = max(1, math.ceil((stop - self.time) / self.profile.time_step - 1e-6)) if rolling else 1
+        period = (stop - self.time) / looks
+        bounds = self._senses.rays_due(self.time, looks, period, turn_ends)
         for look in range(looks):
-            steps = round((self._time + (look + 1) * period - self._state.time) / self._server.time_step)
+            steps = round((self.time + (look + 1) * period - self._state.time) / self._server.time_step)
             self._take(self._server.step(targets, max(0, steps), scan=rolling or turn_ends))
             if rolling:
                 due = slice(bounds[look], bounds[look + 1])
@@ -186,9 +161,9 @@ class GazeboTeam:
 
     def _take(self, state: State) -> None:
         self._state = state
-        self._min_distance = min(self._min_distance, state.min_distance)
-        self._touched |= state.touched
-        self._touched_arena |= state.touched_arena
+        self.min_distance = np.minimum(self.min_distance, state.min_distance)
+        self.collided = self.collided | state.touched
+        self.hit_arena = self.hit_arena | state.touched_arena
 
     def _check_world(self, world: int) -> None:
         if world != 0:

@@ -10,7 +10,6 @@ import sys
 import time
 from collections import deque
 from contextlib import suppress
-from types import TracebackType
 
 import numpy as np
 
@@ -99,9 +98,7 @@ class RoboMaster:
     def __enter__(self) -> RoboMaster:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def drive(self, command: FloatArray) -> None:

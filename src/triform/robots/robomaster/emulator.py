@@ -7,7 +7,6 @@ import socket
 import threading
 import time
 from collections import deque
-from types import TracebackType
 
 import numpy as np
 
@@ -39,23 +38,15 @@ class RoboMasterEmulator:
         error: What it answers to everything, without obeying; nothing special if empty.
         mode: How chassis and gimbal hang together.
         battery: Charge in percent.
+        driven: Whether a driver is connected and in SDK mode.
     """
 
-    def __init__(
-        self,
-        address: str = "127.0.0.1",
-        *,
-        control_port: int = protocol.CONTROL_PORT,
-        push_port: int = protocol.PUSH_PORT,
-        reply_delay: float = 0.0,
-    ) -> None:
+    def __init__(self, address: str = "127.0.0.1", *, control_port: int = protocol.CONTROL_PORT) -> None:
         """Start a robot.
 
         Args:
             address: Address of this computer, such as 127.0.1.1.
             control_port: TCP port to listen at; 0 chooses a free one.
-            push_port: UDP port of the driver that telemetry goes to.
-            reply_delay: Time that it takes to answer [s].
 
         Raises:
             RoboMasterError: The address or port cannot be used.
@@ -69,10 +60,8 @@ class RoboMasterEmulator:
         self._pushes = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._pushes.bind((address, 0))
         self.address, self.control_port = self._listener.getsockname()
-        self.reply_delay = reply_delay
-        self.silent, self.error = False, ""
+        self.reply_delay, self.silent, self.error = 0.0, False, ""
         self.mode, self.battery = _MODES[0], 100
-        self._push_port = push_port
         self._told = (time.monotonic(), np.zeros(3), np.zeros(3))
         self._driver: socket.socket | None = None
         self._text = b""
@@ -85,20 +74,13 @@ class RoboMasterEmulator:
     def __enter__(self) -> RoboMasterEmulator:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
     def command(self) -> FloatArray:
         """What the wheels are told now: a body twist in REP 103, shape (3,) [m/s, m/s, rad/s]."""
         return self._command.copy()
-
-    @property
-    def driven(self) -> bool:
-        """Whether a driver is connected and in SDK mode."""
-        return self._entered
 
     def tell(self, pose: FloatArray, twist: FloatArray) -> None:
         """Say where the robot is and how it moves now; its telemetry goes on from there.
@@ -157,7 +139,7 @@ class RoboMasterEmulator:
 
     def _leave(self) -> None:
         """Leave SDK mode: the wheels stop, and no telemetry is pushed."""
-        self._entered = False
+        self.driven = False
         self._command = np.zeros(3)
         self._rates: dict[str, int] = {}
         self._due: dict[str, float] = {}
@@ -179,10 +161,10 @@ class RoboMasterEmulator:
     def _obey(self, words: list[str]) -> str:
         """Follow a command and return the answer, which is empty for what the robot leaves unanswered."""
         if words == ["command"]:
-            answer = "Already in SDK mode" if self._entered else OK
-            self._entered = True
+            answer = "Already in SDK mode" if self.driven else OK
+            self.driven = True
             return answer
-        if not self._entered:
+        if not self.driven:
             return ""
         match words:
             case ["quit"]:
@@ -241,4 +223,4 @@ class RoboMasterEmulator:
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         pose = pose + min(now - told, _TOLD_FOR) * np.array([cos * u_x - sin * u_y, sin * u_x + cos * u_y, omega])
         text = protocol.pushed(pose, due)
-        self._pushes.sendto(text.encode(), (self._driver.getpeername()[0], self._push_port))
+        self._pushes.sendto(text.encode(), (self._driver.getpeername()[0], protocol.PUSH_PORT))

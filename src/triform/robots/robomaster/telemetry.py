@@ -8,7 +8,6 @@ import time
 
 import numpy as np
 
-from triform.geometry import wrap_angle
 from triform.robots.odometry import Track
 from triform.robots.robomaster.protocol import RoboMasterError, read_pushed
 from triform.types import FloatArray
@@ -31,8 +30,7 @@ class Telemetry:
         Raises:
             RoboMasterError: Another program reads pushes at this address.
         """
-        self._tracks = {"position": Track(), "attitude": Track()}
-        self._lock = threading.Lock()
+        self._tracks = {"position": Track(), "attitude": Track(angle=True)}
         self._closing = threading.Event()
         self._robot = robot
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -50,11 +48,8 @@ class Telemetry:
 
     def pose(self, moment: float) -> FloatArray | None:
         """Pose at a moment of the monotonic clock [s], REP 103, shape (3,) [m, m, rad]; ``None`` if it is not known."""
-        with self._lock:
-            position, heading = self._tracks["position"].at(moment), self._tracks["attitude"].at(moment)
-        if position is None or heading is None:
-            return None
-        return np.append(position, wrap_angle(heading))
+        position, heading = (track.at(moment) for track in self._tracks.values())
+        return None if position is None or heading is None else np.append(position, heading)
 
     def close(self) -> None:
         """Listen no more."""
@@ -73,13 +68,5 @@ class Telemetry:
                 return
             now = time.monotonic()
             if sender[0] == self._robot:
-                with self._lock:
-                    for name, values in read_pushed(data.decode("ascii", "replace")):
-                        self._add(name, now, values)
-
-    def _add(self, name: str, now: float, values: FloatArray) -> None:
-        track = self._tracks[name]
-        if name == "attitude":
-            track.add_angle(now, values)
-        else:
-            track.add(now, values)
+                for name, values in read_pushed(data.decode("ascii", "replace")):
+                    self._tracks[name].add(now, values)
