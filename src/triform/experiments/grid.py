@@ -360,7 +360,7 @@ def describe_runs(cell: Cell, controller: Controller[Any]) -> dict[str, Any]:
     settings: dict[str, Any] = {name: described[name] for name in chosen}
     settings |= {"robots": cell.robots, "runs": cell.runs, "seed": cell.seed, "triform": __version__}
     if scenario.simulator != "builtin":
-        settings |= {"team": scenario.simulator, "drive": scenario.gazebo_base}
+        settings |= {"team": scenario.simulator, "drive": scenario.base}
     if scenario.event is not None:
         settings |= {"event": asdict(scenario.event)}
     if cell.starts is not None:
