@@ -19,17 +19,17 @@ _ROLLER_RADIUS = 0.014
 _ROLLER_SHARE = 0.4
 #: Friction in a roller's bearings [N m s].
 _ROLLER_DAMPING = 1e-5
-#: Servo of a wheel: torque per error of its speed [N m s] and largest torque [N m].
-_GAIN = 2.0
-_TORQUE = 5.0
+#: Inertia that a motor adds to its wheel [kg m^2]: enough that the ground does not change the speed that it is set to.
+_ARMATURE = 1.0
 #: Wheels in the order of ``wheel_speeds``: place in front of and beside the centre, in units of ``WHEEL_PLACE``.
 _WHEELS = {"front_left": (1, 1), "front_right": (1, -1), "rear_left": (-1, 1), "rear_right": (-1, -1)}
-#: Numbers that describe a robot's state: of its body, four wheels and their rollers.
-_JOINTS = len(_WHEELS) * (1 + _ROLLERS)
+#: Joints of a wheel, its own first, and of all wheels.
+_WHEEL_JOINTS = 1 + _ROLLERS
+_JOINTS = len(_WHEELS) * _WHEEL_JOINTS
 
 
 class MecanumBase:
-    """The bases of B worlds of N robots on mecanum wheels, whose servos hold the speeds that a body twist asks for."""
+    """The bases of B worlds of N robots on mecanum wheels, whose motors keep the speeds that a body twist asks for."""
 
     #: Step of the physics [s].
     time_step = 0.002
@@ -43,24 +43,21 @@ class MecanumBase:
         check_wheels(footprint)
         self._places: FloatArray = batch.qpos.reshape(batch.nsim, robots, 7 + _JOINTS)
         self._rates = batch.qvel.reshape(batch.nsim, robots, 6 + _JOINTS)
-        self._servos = batch.ctrl.reshape(batch.nsim, robots, len(_WHEELS))
+        self._wheels = self._rates[..., 6::_WHEEL_JOINTS]
         self._drive = drive
 
     @staticmethod
     def write_robot(index: int, footprint: Footprint) -> RobotParts:
-        """Return a robot with its servos, and the rollers that touch the ground."""
+        """Return a robot, and the rollers that touch the ground."""
         wheels = "".join(
             _write_wheel(f"{name}{index}", forward * WHEEL_PLACE, left * WHEEL_PLACE, forward * left)
             for name, (forward, left) in _WHEELS.items()
-        )
-        servos = "".join(
-            f'<velocity joint="{name}{index}" kv="{_GAIN}" forcerange="{-_TORQUE} {_TORQUE}"/>' for name in _WHEELS
         )
         pairs = "".join(
             f'<pair geom1="ground" geom2="{name}{index}_{roller}"/>' for name in _WHEELS for roller in range(_ROLLERS)
         )
         body = chassis(index, footprint, MASS - len(_WHEELS) * WHEEL_MASS, WHEEL_RADIUS)
-        return RobotParts(f'<body name="robot{index}"><freejoint/>{body}{wheels}</body>', servos, pairs)
+        return RobotParts(f'<body name="robot{index}"><freejoint/>{body}{wheels}</body>', pairs)
 
     @property
     def poses(self) -> FloatArray:
@@ -85,13 +82,12 @@ class MecanumBase:
         self._places[world, robot] = 0.0
         self._places[world, robot, :7] = [x, y, 0.0, math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2)]
         self._rates[world, robot] = 0.0
-        self._servos[world, robot] = 0.0
 
     def drive(self, targets: FloatArray) -> None:
-        """Set the servos for one step of the physics, so that limited body twists, shape (B, N, 3), are approached."""
-        turned_for = twist_from_wheels(self._servos * WHEEL_RADIUS)
+        """Turn the wheels for one step of the physics, so that limited body twists, shape (B, N, 3), are approached."""
+        turned_for = twist_from_wheels(self._wheels * WHEEL_RADIUS)
         _, wanted = steer(self.poses, turned_for, targets, self._drive, self.time_step)
-        self._servos[:] = wheel_speeds(wanted) / WHEEL_RADIUS
+        self._wheels[:] = wheel_speeds(wanted) / WHEEL_RADIUS
 
     @property
     def _headings(self) -> FloatArray:
@@ -124,6 +120,6 @@ def _write_wheel(name: str, forward: float, left: float, hand: int) -> str:
           zaxis="{axis}" mass="{roller}" {UNTOUCHED} material="roller"/>
       </body>""")
     return f"""<body pos="{forward} {left} {WHEEL_RADIUS}">
-      <joint name="{name}" type="hinge" axis="0 1 0"/>{inertia(mass, 0.0, (moment, moment, moment))}
+      <joint type="hinge" axis="0 1 0" armature="{_ARMATURE}"/>{inertia(mass, 0.0, (moment, moment, moment))}
       {"".join(parts)}
     </body>"""

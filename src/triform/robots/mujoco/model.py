@@ -52,7 +52,6 @@ def write_model(footprint: Footprint, arena: Arena, robots: int, base: Base) -> 
       {"".join(part.body for part in parts)}
     </worldbody>
     <contact>{"".join(part.pairs for part in parts)}</contact>
-    <actuator>{"".join(part.actuators for part in parts)}</actuator>
     <sensor>{sensors}</sensor>
     </mujoco>"""
 

@@ -19,12 +19,10 @@ class RobotParts(NamedTuple):
 
     Attributes:
         body: The robot with all its joints.
-        actuators: What moves the joints.
         pairs: What touches the ground.
     """
 
     body: str
-    actuators: str = ""
     pairs: str = ""
 
 

@@ -25,7 +25,7 @@ from triform.types import BoolArray, FloatArray, MapArray, PrivilegedView, Range
 #: Robots that do not exist stand this far away [m], and as far apart as a robot needs.
 _FAR, _APART = 1e6, 10.0
 #: What describes a robot in motion, apart from its place among the others.
-_STATE = ("qpos", "qvel", "qacc_warmstart", "ctrl")
+_STATE = ("qpos", "qvel", "qacc_warmstart")
 
 
 class MujocoError(TriformError):
