@@ -19,7 +19,7 @@ from triform.control import Teacher
 from triform.dataset import draw_fresh
 from triform.policy import vit_network
 from triform.threads import limit_threads
-from triform.training import Precision, Progress, TrainConfig, get_preset, train
+from triform.training import PRESETS, Precision, Progress, TrainConfig, train
 from triform.training.precision import matrix_products
 from triform.types import FloatArray
 
@@ -35,7 +35,7 @@ def measure(settings: Settings, watch: Watch) -> Iterator[Row]:
 
 
 def _against_dense(settings: Settings, watch: Watch) -> Iterator[Row]:
-    config = get_preset("large")
+    config = PRESETS["large"]
     what = "training the paper's network, 1 thread, maps/s against the dense loop"
     step, steps = _dense_step(config), 1 if settings.quick else 3
     rates: dict[str, list[float]] = {name: [] for name in ("packed", "dense, float32", f"dense, {config.precision}")}
@@ -59,7 +59,7 @@ def _against_dense(settings: Settings, watch: Watch) -> Iterator[Row]:
 
 
 def _small(settings: Settings, watch: Watch) -> Row:
-    config = get_preset("springs")
+    config = PRESETS["springs"]
     what = f"training the small default network, {settings.cores} cores, maps/s"
     rounds = settings.training_rounds
     rates = np.empty(rounds)

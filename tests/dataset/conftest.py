@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from triform.dataset import CollectionConfig, Demonstrations, collect
+from triform.engines import LocalEngine
 
 #: Nine shards: five of roll-outs (one shared), the rest of placements; the last row groups and blocks are not full.
 SMALL = CollectionConfig(
@@ -33,7 +34,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def small_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A complete small data set; do not change it."""
     folder = tmp_path_factory.mktemp("small")
-    collect(folder, SMALL, workers=1)
+    collect(folder, SMALL, engine=LocalEngine(1))
     return folder
 
 

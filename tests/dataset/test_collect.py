@@ -15,8 +15,9 @@ import pytest
 
 from triform import files
 from triform.dataset import Demonstrations, collect, load_manifest
+from triform.engines import LocalEngine
 from triform.files import exclusive
-from triform.types import ConfigurationError, TriformError
+from triform.types import TriformError
 
 from .conftest import SMALL, contents
 
@@ -26,6 +27,7 @@ import json, os, signal, sys
 from pathlib import Path
 from triform.dataset import collect
 from triform.dataset.configuration import config_from_json
+from triform.engines import LocalEngine
 calls, sync = 0, os.fsync
 def counting(descriptor):
     global calls
@@ -34,7 +36,7 @@ def counting(descriptor):
         os.kill(os.getpid(), signal.SIGKILL)
     sync(descriptor)
 os.fsync = counting
-collect(Path(sys.argv[1]), config_from_json(json.loads(sys.argv[2])), workers=1)
+collect(Path(sys.argv[1]), config_from_json(json.loads(sys.argv[2])), engine=LocalEngine(1))
 """
 
 #: Collects SMALL with two workers and says when something is finished.
@@ -43,8 +45,9 @@ import json, sys
 from pathlib import Path
 from triform.dataset import collect
 from triform.dataset.configuration import config_from_json
+from triform.engines import LocalEngine
 config = config_from_json(json.loads(sys.argv[2]))
-collect(Path(sys.argv[1]), config, workers=2, progress=lambda done, total: print(done, total, flush=True))
+collect(Path(sys.argv[1]), config, engine=LocalEngine(2), progress=lambda done, total: print(done, total, flush=True))
 """
 
 
@@ -55,7 +58,7 @@ def start_script(script: str, folder: Path, *arguments: object) -> subprocess.Po
 
 @pytest.mark.parametrize("workers", [2, 5])
 def test_the_bytes_do_not_depend_on_the_workers(tmp_path: Path, small_folder: Path, workers: int) -> None:
-    collect(tmp_path, SMALL, workers=workers)
+    collect(tmp_path, SMALL, engine=LocalEngine(workers))
     assert contents(tmp_path) == contents(small_folder)
 
 
@@ -73,7 +76,7 @@ def test_killed_at_any_sync_and_continued_gives_the_same_bytes(tmp_path: Path, s
     assert list(tmp_path.rglob(".*.tmp"))
     with pytest.raises(TriformError, match=r"is not complete: \d of \d+ shards"):
         Demonstrations.open(tmp_path)
-    assert collect(tmp_path, SMALL, workers=2).complete
+    assert collect(tmp_path, SMALL, engine=LocalEngine(2)).complete
     assert contents(tmp_path) == contents(small_folder)
 
 
@@ -84,7 +87,7 @@ def test_killed_from_outside_and_continued_gives_the_same_bytes(tmp_path: Path, 
     process.stdout.readline()
     process.kill()
     process.communicate()
-    collect(tmp_path, SMALL, workers=1)
+    collect(tmp_path, SMALL, engine=LocalEngine(1))
     assert contents(tmp_path) == contents(small_folder)
 
 
@@ -94,15 +97,15 @@ def test_interrupted_and_continued_gives_the_same_bytes(tmp_path: Path, small_fo
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        collect(tmp_path, SMALL, workers=2, progress=interrupt)
+        collect(tmp_path, SMALL, engine=LocalEngine(2), progress=interrupt)
     assert 0 < len(load_manifest(tmp_path).shards) < SMALL.shards
-    collect(tmp_path, SMALL, workers=2)
+    collect(tmp_path, SMALL, engine=LocalEngine(2))
     assert contents(tmp_path) == contents(small_folder)
 
 
 def test_progress_grows_to_the_total(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
-    collect(tmp_path, SMALL, workers=1, progress=lambda done, total: seen.append((done, total)))
+    collect(tmp_path, SMALL, engine=LocalEngine(1), progress=lambda done, total: seen.append((done, total)))
     assert seen[0] == (0, SMALL.maps)
     assert seen[-1] == (SMALL.maps, SMALL.maps)
     assert [done for done, _ in seen] == sorted({done for done, _ in seen})
@@ -124,57 +127,57 @@ def test_a_full_disk_is_said_and_can_be_continued(
     with monkeypatch.context() as patch:
         patch.setattr(files.os, "fsync", sync)
         with pytest.raises(TriformError, match=r"no space left to write .* run the same command again"):
-            collect(tmp_path, SMALL, workers=2)
+            collect(tmp_path, SMALL, engine=LocalEngine(2))
     assert not list(tmp_path.rglob("*.tmp"))
-    collect(tmp_path, SMALL, workers=2)
+    collect(tmp_path, SMALL, engine=LocalEngine(2))
     assert contents(tmp_path) == contents(small_folder)
 
 
 def test_collecting_again_changes_nothing(tmp_path: Path) -> None:
-    collect(tmp_path, SMALL, workers=2)
+    collect(tmp_path, SMALL, engine=LocalEngine(2))
     before = contents(tmp_path)
     times = [path.stat().st_mtime_ns for path in sorted((tmp_path / "shards").iterdir())]
-    collect(tmp_path, SMALL, workers=1)
+    collect(tmp_path, SMALL, engine=LocalEngine(1))
     assert contents(tmp_path) == before
     assert [path.stat().st_mtime_ns for path in sorted((tmp_path / "shards").iterdir())] == times
 
 
 def test_another_configuration_is_refused(tmp_path: Path) -> None:
     tiny = replace(SMALL, runs=1, placements=0)
-    collect(tmp_path, tiny, workers=1)
+    collect(tmp_path, tiny, engine=LocalEngine(1))
     before = contents(tmp_path)
     with pytest.raises(TriformError, match=r"another configuration \(seed 3 instead of 4\)"):
-        collect(tmp_path, replace(tiny, seed=4), workers=1)
+        collect(tmp_path, replace(tiny, seed=4), engine=LocalEngine(1))
     assert contents(tmp_path) == before
 
 
 def test_other_versions_are_refused_where_shards_are_missing(tmp_path: Path) -> None:
     tiny = replace(SMALL, runs=3, placements=0)
-    manifest = collect(tmp_path, tiny, workers=1)
+    manifest = collect(tmp_path, tiny, engine=LocalEngine(1))
     replace(manifest, versions={**manifest.versions, "numba": "0.1"}).save(tmp_path)
-    collect(tmp_path, tiny, workers=1)
+    collect(tmp_path, tiny, engine=LocalEngine(1))
     (tmp_path / "shards" / "shard-00001.parquet").unlink()
     with pytest.raises(TriformError, match=r"cannot be continued with"):
-        collect(tmp_path, tiny, workers=1)
+        collect(tmp_path, tiny, engine=LocalEngine(1))
 
 
 def test_a_deleted_shard_is_restored_and_a_damaged_one_refused(tmp_path: Path, small_folder: Path) -> None:
-    collect(tmp_path, SMALL, workers=2)
+    collect(tmp_path, SMALL, engine=LocalEngine(2))
     shard = tmp_path / "shards" / "shard-00004.parquet"
     data = bytearray(shard.read_bytes())
     data[len(data) // 2] ^= 1
     shard.write_bytes(data)
     with pytest.raises(TriformError, match=r"shard-00004\.parquet is damaged or foreign"):
-        collect(tmp_path, SMALL, workers=2)
+        collect(tmp_path, SMALL, engine=LocalEngine(2))
     shard.unlink()
-    collect(tmp_path, SMALL, workers=2)
+    collect(tmp_path, SMALL, engine=LocalEngine(2))
     assert contents(tmp_path) == contents(small_folder)
 
 
 def test_a_folder_with_other_things_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("do not touch")
     with pytest.raises(TriformError, match="is not empty and holds no data set"):
-        collect(tmp_path, SMALL, workers=1)
+        collect(tmp_path, SMALL, engine=LocalEngine(1))
     assert list(contents(tmp_path)) == ["thesis.tex"]
 
 
@@ -182,14 +185,9 @@ def test_a_folder_with_other_things_is_refused(tmp_path: Path) -> None:
 def test_an_unwritable_folder_is_refused(tmp_path: Path, below: str) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(TriformError, match=r"cannot write .*file"):
-        collect(tmp_path / below, SMALL, workers=1)
+        collect(tmp_path / below, SMALL, engine=LocalEngine(1))
 
 
 def test_two_collections_into_one_folder_are_refused(tmp_path: Path) -> None:
     with exclusive(tmp_path), pytest.raises(TriformError, match="another process is writing"):
-        collect(tmp_path, SMALL, workers=1)
-
-
-def test_no_workers_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="0 workers"):
-        collect(tmp_path, SMALL, workers=0)
+        collect(tmp_path, SMALL, engine=LocalEngine(1))

@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from triform.dataset import PAPER, PRESETS, QUICK, CollectionConfig
+from triform.dataset import PRESETS, CollectionConfig
 from triform.dataset.configuration import config_from_json
 from triform.types import ConfigurationError
+
+PAPER, QUICK = PRESETS["paper"], PRESETS["quick"]
 
 
 def test_the_paper_preset_is_the_papers_data_set() -> None:
@@ -101,4 +103,4 @@ def test_shards_runs_and_groups_partition_the_records(
 
 def test_another_seed_holds_out_other_runs() -> None:
     assert not np.array_equal(PAPER.validation_runs(), replace(PAPER, seed=2).validation_runs())
-    assert len({PAPER.roll_out_seed, PAPER.placement_seed, PAPER.seed}) == 3
+    assert len({*(PAPER.start_seed(placements=each) for each in (False, True)), PAPER.seed}) == 3

@@ -15,6 +15,7 @@ from triform.control import Expert
 from triform.dataset import Demonstrations, collect
 from triform.dataset.demonstrate import demonstrate
 from triform.dataset.sensing import sense
+from triform.engines import LocalEngine
 from triform.perception import occupancy_maps
 from triform.simulation import ROBOMASTER_EP, Arena, Footprint, cast_scans, sample_starts
 from triform.types import FloatArray, MapArray, MapConfig, PrivilegedView, Scan, ScanConfig
@@ -70,7 +71,9 @@ def test_the_manifest_says_what_is_there(small_folder: Path) -> None:
 
 def test_roll_outs_obey_the_speed_limit_and_follow_the_teacher() -> None:
     for run, (poses, commands) in enumerate(demonstrate(SMALL, range(SMALL.runs))):
-        np.testing.assert_array_equal(poses[0], sample_starts(SMALL.robots, 1, SMALL.roll_out_seed, first=run)[0])
+        np.testing.assert_array_equal(
+            poses[0], sample_starts(SMALL.robots, 1, SMALL.start_seed(placements=False), first=run)[0]
+        )
         cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
         u_x, u_y = commands[..., 0], commands[..., 1]
         velocity = np.stack([cos * u_x - sin * u_y, sin * u_x + cos * u_y], axis=-1)
@@ -85,7 +88,8 @@ def test_placements_are_valid_starts_that_never_repeat() -> None:
     runs = range(SMALL.runs, SMALL.all_runs)
     poses = np.concatenate([each for each, _ in demonstrate(SMALL, runs)])
     assert len(poses) == SMALL.placements
-    np.testing.assert_array_equal(poses, sample_starts(SMALL.robots, SMALL.placements, SMALL.placement_seed))
+    seed = SMALL.start_seed(placements=True)
+    np.testing.assert_array_equal(poses, sample_starts(SMALL.robots, SMALL.placements, seed))
     assert len(np.unique(poses[:, 0, 0])) == len(poses)
 
 
@@ -137,7 +141,7 @@ def test_sensed_cells_are_those_of_the_robots_own_way(
 @pytest.mark.parametrize("robots", [1, 2])
 def test_lonely_robots_have_data_sets_too(tmp_path: Path, robots: int) -> None:
     config = replace(SMALL, robots=robots, runs=2, steps=3, placements=4)
-    collect(tmp_path, config, workers=1)
+    collect(tmp_path, config, engine=LocalEngine(1))
     records = next(Demonstrations.open(tmp_path).batches("train", 100))
     assert records.maps().shape == (len(records) * robots, 100, 100)
     assert records.maps().any() == (robots == 2)
@@ -145,7 +149,7 @@ def test_lonely_robots_have_data_sets_too(tmp_path: Path, robots: int) -> None:
 
 def test_large_maps_need_wider_cell_indices(tmp_path: Path) -> None:
     config = replace(SMALL, runs=0, placements=20, map=MapConfig(size=200, cell=0.02, max_cells=600))
-    collect(tmp_path, config, workers=1)
+    collect(tmp_path, config, engine=LocalEngine(1))
     batch = next(Demonstrations.open(tmp_path).batches("train", 100, shuffle=False))
     assert batch.cells.dtype == np.int32
     np.testing.assert_array_equal(batch.maps(), maps_of(batch.poses, config.footprint, config.scan, config.map))

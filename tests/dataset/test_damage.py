@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from triform.dataset import Demonstrations, collect
+from triform.engines import LocalEngine
 from triform.types import TriformError
 
 from .conftest import SMALL
@@ -72,7 +73,7 @@ def test_any_flipped_bit_is_found(small_folder: Path, tmp_path_factory: Any, sha
 
 def test_a_shard_of_another_data_set_is_named(folder: Path, tmp_path: Path) -> None:
     other = replace(SMALL, seed=SMALL.seed + 1)
-    collect(tmp_path / "other", other, workers=1)
+    collect(tmp_path / "other", other, engine=LocalEngine(1))
     data = (tmp_path / "other" / "shards" / NAME).read_bytes()
     (folder / "shards" / NAME).write_bytes(data)
     with pytest.raises(TriformError, match=rf"{NAME} is (truncated|too long|damaged or foreign)"):

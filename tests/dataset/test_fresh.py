@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from triform.control import Teacher, expert_variant
 from triform.dataset import COLUMNS, FreshBatch, StateConfig, draw_fresh, neighbours
-from triform.geometry import gabriel_graph, world_to_body
+from triform.geometry import body_to_world, gabriel_graph
 from triform.types import ConfigurationError, MapConfig, ScanConfig
 
 
@@ -82,7 +82,7 @@ def test_neighbours_are_the_others_seen_from_each_robot(name: str) -> None:
     for e in range(6):
         for i in range(5):
             others = [j for j in range(5) if j != i]
-            expected = world_to_body(poses[e, others, :2] - poses[e, i, :2], poses[e, i, 2])
+            expected = body_to_world(poses[e, others, :2] - poses[e, i, :2], -poses[e, i, 2])
             np.testing.assert_allclose(around[e, i, :, :2], expected, atol=1e-12)
             linked = graph[e, i, others]
             length = np.linalg.norm(expected, axis=1, keepdims=True)

@@ -110,7 +110,7 @@ def test_an_evaluation_is_the_same_to_the_bit_on_one_thread_two_and_ray_whose_wo
 @pytest.mark.slow
 def test_a_data_set_has_the_same_bytes_on_one_thread_two_and_ray_whose_worker_is_killed(engine, tmp_path):
     for threads in (1, 2):
-        collect(tmp_path / str(threads), SMALL, workers=threads)
+        collect(tmp_path / str(threads), SMALL, engine=LocalEngine(threads))
     collect(tmp_path / "ray", SMALL, engine=Deadly(engine, tmp_path / "killed"))
     assert (tmp_path / "killed").exists()
     assert contents(tmp_path / "ray") == contents(tmp_path / "1") == contents(tmp_path / "2")
@@ -125,8 +125,8 @@ def test_a_collection_begun_on_ray_is_finished_here(engine, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         collect(tmp_path / "both", SMALL, progress=stop, engine=engine)
     assert 0 < len(list((tmp_path / "both/shards").iterdir())) < SMALL.shards
-    collect(tmp_path / "both", SMALL, workers=1)
-    collect(tmp_path / "here", SMALL, workers=1)
+    collect(tmp_path / "both", SMALL, engine=LocalEngine(1))
+    collect(tmp_path / "here", SMALL, engine=LocalEngine(1))
     assert contents(tmp_path / "both") == contents(tmp_path / "here")
 
 

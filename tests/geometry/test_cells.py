@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from triform.geometry import assess, edge_error, gabriel_edges, gabriel_graph, smallest_distance
+from triform.geometry import assess, edge_error, gabriel_graph, smallest_distance
 from triform.geometry.cells import CELL_SIZE, SMALL_TEAM, find_near, list_cells, make_cells, pairs_within
 from triform.threads import limit_threads
-from triform.types import ConfigurationError
 
 KINDS = ["uniform", "clustered", "far clusters", "grid", "coarse grid", "coincident", "line", "rings", "spread", "lone"]
 
@@ -75,7 +74,6 @@ def test_edges_are_those_of_the_definition(team: tuple[str, int, int, bool], max
     expected = by_definition(points, active, max_range)
     points[~active] = np.nan
     np.testing.assert_array_equal(gabriel_graph(points, max_range, active), expected)
-    np.testing.assert_array_equal(gabriel_edges(points, max_range, active), np.argwhere(np.triu(expected)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -85,7 +83,6 @@ def test_small_and_large_teams_meet_without_a_seam(kind: str) -> None:
         for max_range in (1.0, np.inf):
             expected = by_definition(points, np.ones(robots, dtype=bool), max_range)
             np.testing.assert_array_equal(gabriel_graph(points, max_range), expected)
-            np.testing.assert_array_equal(gabriel_edges(points, max_range), np.argwhere(np.triu(expected)))
 
 
 @settings(deadline=None, max_examples=60)
@@ -154,16 +151,10 @@ def test_memory_is_linear_and_the_number_of_threads_changes_nothing() -> None:
     rng = np.random.default_rng(1)
     points = np.stack([placement("uniform", 20_000, rng), placement("uniform", 20_000, rng)])
     # A matrix of all pairs would take 400 MB.
-    assert 1.9 < len(gabriel_edges(points[0])) / 20_000 < 2.1
+    assert 1.9 < assess(points[0]).edges / 20_000 < 2.1
     both = edge_error(points)
     with limit_threads(1):
         np.testing.assert_array_equal(edge_error(points), both)
-
-
-def test_edges_are_of_one_world() -> None:
-    with pytest.raises(ConfigurationError, match=r"\(N, 2\) is needed"):
-        gabriel_edges(np.zeros((2, 3, 2)))
-    assert gabriel_edges(np.zeros((0, 2))).shape == (0, 2)
 
 
 def test_every_share_of_the_cells_has_its_share_of_the_robots() -> None:

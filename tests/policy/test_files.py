@@ -214,7 +214,7 @@ def test_a_foreign_or_damaged_folder_is_refused(exported: Path, tmp_path: Path) 
 
     foreign = copy(exported, tmp_path / "foreign")
     (foreign / "model.json").write_text((foreign / "model.json").read_text().replace('"patch": 5', '"patch": 4'))
-    with pytest.raises(TriformError, match="patches of 25 cells"):
+    with pytest.raises(TriformError, match="patches of width 25"):
         PolicyRuntime(foreign)
     nonsense = json.loads((exported / "model.json").read_text()) | {"onnx_sha256": sha256(b"nonsense")}
     (foreign / "model.json").write_text(json.dumps(nonsense))

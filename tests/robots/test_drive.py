@@ -9,7 +9,6 @@ import os
 import resource
 import signal
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,19 +20,13 @@ from triform.commands.screen import Screen
 from triform.control import ControllerSpec
 from triform.robots import drive as drive_module
 from triform.robots.drive import DriveConfig, run_drive
+from triform.robots.laser_scan import Turn
 from triform.robots.latency import Budget
 from triform.robots.real import Step
 from triform.robots.recorder import CsvLog
 from triform.signals import StopSignals
 from triform.simulation import ROBOMASTER_EP, Arena, cast_scans
 from triform.types import ConfigurationError, Scan, ScanConfig, TriformError, View
-
-
-@dataclass
-class Turn:
-    ranges: np.ndarray
-    started: float
-    ended: float
 
 
 class FakeLidar:

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.robots.lidar_oracle import pack, slow_turn
-from triform.robots.ldrobot import LD19, LD20, MODELS, LidarModel, PacketParser, Turn, TurnAssembler
+from triform.robots.laser_scan import Turn
+from triform.robots.ldrobot import LD19, LD20, MODELS, LidarModel, PacketParser, TurnAssembler
 from triform.types import ConfigurationError, ScanConfig
 
 

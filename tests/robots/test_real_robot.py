@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,19 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from triform.control import drive
+from triform.robots.laser_scan import Turn
 from triform.robots.real import RealRobot, Step
 from triform.simulation import Drive, integrate
 from triform.types import ConfigurationError, ScanConfig, TriformError, View
 
 SCAN = ScanConfig(rays=90)
 LIMITS = Drive(max_axis_speed=0.1, max_turn_rate=1.0)
-
-
-@dataclass
-class Turn:
-    ranges: np.ndarray
-    started: float
-    ended: float
 
 
 class FakeLidar:

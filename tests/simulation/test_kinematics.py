@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from triform.simulation import Drive, integrate, limit_twists, steer, twist_from_wheels, wheel_speeds
+from triform.simulation import Drive, integrate, limit_twists, steer
 from triform.types import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -75,18 +75,6 @@ def test_headings_are_wrapped() -> None:
     wrapped = integrate(poses, np.zeros((6, 3)), 0.0)[:, 2]
     assert np.all((wrapped >= -np.pi) & (wrapped < np.pi))
     np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * headings), atol=1e-12)
-
-
-def test_wheels_by_hand_and_back() -> None:
-    np.testing.assert_allclose(wheel_speeds(np.array([1.0, 0, 0])), [1, 1, 1, 1])
-    np.testing.assert_allclose(wheel_speeds(np.array([0, 1.0, 0])), [-1, 1, 1, -1])
-    np.testing.assert_allclose(wheel_speeds(np.array([0, 0, 1.0])), [-0.2, 0.2, -0.2, 0.2])
-    twists = np.random.default_rng(1).normal(size=(3, 4, 3))
-    np.testing.assert_allclose(twist_from_wheels(wheel_speeds(twists)), twists, atol=1e-14)
-    # Of any four speeds, the least-squares twist.
-    speeds = np.random.default_rng(2).normal(size=4)
-    design = wheel_speeds(np.eye(3)).T
-    np.testing.assert_allclose(twist_from_wheels(speeds), np.linalg.lstsq(design, speeds)[0], atol=1e-14)
 
 
 @settings(deadline=None, max_examples=60)

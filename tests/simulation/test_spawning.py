@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist, squareform
 from scipy.stats import kstest
 
-from triform.simulation import is_connected, load_starts, sample_addition, sample_starts, square_side
+from triform.simulation import is_connected, load_starts, sample_addition, sample_starts
+from triform.simulation.spawning import square_side
 from triform.types import ConfigurationError, TriformError
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from triform.control import TriangulatingLaw
 from triform.dataset import SceneConfig, StateBuffer, fresh_inputs
 from triform.policy import CnnConfig, GnnConfig, Network, NetworkConfig, RadiusGraph
 from triform.policy.export import export_policy
-from triform.training import TrainConfig, batches, dagger, get_preset, train
+from triform.training import PRESETS, TrainConfig, batches, dagger, train
 from triform.training.batches import TrainBatch, open_source
 from triform.training.dagger import Rollouts
 from triform.training.flat import FlatParameters
@@ -118,9 +118,9 @@ def test_processes_share_a_mini_batch_of_teams(count: int) -> None:
 
 
 def test_baselines_learn_from_the_same_as_the_policy() -> None:
-    policy = get_preset("default")
+    policy = PRESETS["default"]
     for name in ("cnn", "gnn", "dense"):
-        preset = get_preset(name)
+        preset = PRESETS[name]
         same = replace(preset, preset="default", network=policy.network, learning_rate=policy.learning_rate)
         assert same == policy
         assert preset.preset == name

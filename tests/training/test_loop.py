@@ -13,10 +13,10 @@ import pytest
 import safetensors.torch
 import torch
 
-from triform.dataset import QUICK, StateConfig, collect
+from triform.dataset import CollectionConfig, StateConfig, collect
 from triform.policy import NetworkConfig
 from triform.policy.vit import token_batch
-from triform.training import Progress, TrainConfig, batches, get_preset, train
+from triform.training import PRESETS, Progress, TrainConfig, batches, train
 from triform.training.batches import FreshSource, StoredSource
 from triform.training.flat import FlatParameters
 from triform.training.loop import Learner, learning_rate, make_optimizer
@@ -42,7 +42,8 @@ def small_and_quick(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
-    collect(folder, replace(QUICK, runs=4, steps=20, placements=100, block_placements=25, validation_share=0.25))
+    small = {"placements": 100, "block_placements": 25, "shard_runs": 5, "group_records": 50}
+    collect(folder, CollectionConfig(runs=4, steps=20, validation_share=0.25, **small))
     return folder
 
 
@@ -116,7 +117,7 @@ def test_stored_demonstrations_resume_exactly_across_epochs(tmp_path: Path, data
 
 
 def test_algorithm_1_is_one_epoch_of_16_records(data: Path) -> None:
-    source = StoredSource(get_preset("paper"), data)
+    source = StoredSource(PRESETS["paper"], data)
     epoch = [task() for _, task in zip(range(source.steps), source.batches(0), strict=False)]
     assert [len(batch.commands) for batch in epoch[:-1]] == [112] * (source.steps - 1)
     assert sum(len(batch.commands) for batch in epoch) == 7 * (3 * 20 + 75)
@@ -190,14 +191,12 @@ def test_wrong_use_is_refused_and_loses_nothing(tmp_path: Path, data: Path) -> N
         train(replace(TINY, seed=9), tmp_path / "run", resume=True)
     assert (tmp_path / "run" / "state.safetensors").read_bytes() == before
     with pytest.raises(TriformError, match="--data"):
-        train(get_preset("paper"), tmp_path / "paper")
+        train(PRESETS["paper"], tmp_path / "paper")
     with pytest.raises(TriformError, match="distance"):
         train(replace(TINY, distance=0.8), tmp_path / "distance", data=data)
     (tmp_path / "run" / "state.safetensors").write_bytes(b"nonsense")
     with pytest.raises(TriformError, match="cannot resume"):
         train(TINY, tmp_path / "run", resume=True)
-    with pytest.raises(ConfigurationError, match="no training preset"):
-        get_preset("nothing")
     with pytest.raises(ConfigurationError, match="learning_rate"):
         replace(TINY, learning_rate=0.0)
     with pytest.raises(ConfigurationError, match="precision"):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from triform.simulation import HARDWARE, Footprint, LidarConfig, NoiseBand, Profile
-from triform.training import PRESETS, get_preset
+from triform.training import PRESETS
 from triform.types import ConfigurationError, ScanConfig
 
 
@@ -19,22 +19,22 @@ def test_the_robots_of_a_profile_are_what_scenes_show() -> None:
     lidar = LidarConfig(
         ScanConfig(rays=360), (NoiseBand(1.0, absolute=0.01), NoiseBand(math.inf, 0.02, 0.05)), dropout=0.4
     )
-    config = get_preset("quick").for_robot(Profile("mine", Footprint.circle(0.3), lidar))
+    config = PRESETS["quick"].for_robot(Profile("mine", Footprint.circle(0.3), lidar))
     scenes = config.scenes
     assert scenes is not None
     assert scenes.footprint == Footprint.circle(0.3)
     # The farthest that a policy looks is 2 d* of 1.5 m.
     assert scenes.noise == pytest.approx(0.02 + 0.05 * 3.0)
     assert scenes.dropout == 0.4
-    assert config.scan == replace(get_preset("quick").scan, rays=360)
+    assert config.scan == replace(PRESETS["quick"].scan, rays=360)
     assert json.loads(json.dumps(config.record()))["scenes"]["footprint"]["shape"] == "circle"
 
 
 def test_a_robot_with_smaller_errors_leaves_those_of_the_scenes() -> None:
-    scenes = get_preset("default").for_robot(HARDWARE).scenes
-    assert scenes == get_preset("default").scenes
+    scenes = PRESETS["default"].for_robot(HARDWARE).scenes
+    assert scenes == PRESETS["default"].scenes
 
 
 def test_a_preset_without_scenes_cannot_be_trained_for_a_robot() -> None:
     with pytest.raises(ConfigurationError, match="'springs' draws no scenes"):
-        get_preset("springs").for_robot(HARDWARE)
+        PRESETS["springs"].for_robot(HARDWARE)

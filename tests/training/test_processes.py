@@ -13,7 +13,7 @@ import pytest
 import safetensors.torch
 import torch
 
-from triform.dataset import QUICK, SceneConfig, StateConfig, collect
+from triform.dataset import CollectionConfig, SceneConfig, StateConfig, collect
 from triform.policy import NetworkConfig
 from triform.training import TrainConfig, train
 from triform.training.batches import FreshSource, SceneSource, StoredSource, TrainBatch
@@ -55,7 +55,8 @@ except KeyboardInterrupt:
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
-    collect(folder, replace(QUICK, runs=2, steps=20, placements=40, block_placements=20, validation_share=0.25))
+    small = {"placements": 40, "block_placements": 20, "shard_runs": 5, "group_records": 50}
+    collect(folder, CollectionConfig(runs=2, steps=20, validation_share=0.25, **small))
     return folder
 
 

@@ -17,7 +17,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan as LaserScanMessage
 
 from triform.perception import MapRules, map_workspace, occupied_into
-from triform.robots.ldrobot import Turn
+from triform.robots.laser_scan import Turn
 from triform.robots.limits import limit_acceleration
 from triform.robots.odometry import Track
 from triform.robots.real import Step

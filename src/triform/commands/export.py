@@ -9,6 +9,8 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from triform.commands.terminal import Terminal
+
 #: Robots in fresh states for which an exported policy is compared with PyTorch, at least.
 _CHECKED_ROBOTS = 1000
 
@@ -40,10 +42,8 @@ class Export:
         difference = export_policy(
             self.folder, fresh_inputs(np.random.default_rng(0), _CHECKED_ROBOTS, spec), self.precision, self.out
         )
-        console.print(
+        Terminal(console).say(
             f"wrote {(self.out or self.folder) / ONNX_FILE} in {self.precision}; in fresh states of {_CHECKED_ROBOTS} "
             f"robots its commands differ from PyTorch's by {difference.mean:.0e} on average and "
             f"{difference.largest:.0e} at most",
-            soft_wrap=True,
-            markup=False,
         )

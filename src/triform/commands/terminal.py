@@ -58,6 +58,21 @@ class Terminal:
             self.console.print(Text(note, style="dim"))
 
 
+def on_terminal(name: str, config: type, work: Callable[[Any, Terminal], object]) -> type:
+    """Return a class of options, as a command has it, that does ``work`` and shows it on a console.
+
+    Args:
+        name: Name of the class.
+        config: Options of the work.
+        work: Takes the options, and a listener.
+    """
+
+    def run(self: Any, console: Console) -> None:
+        work(self, Terminal(console))
+
+    return type(name, (config,), {"run": run})
+
+
 def given_options(options: Any, *names: str) -> dict[str, Any]:
     """The options among ``names`` that were given; the preset decides the others."""
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from rich.console import Console
 
-from triform.commands.terminal import given_options, maps_progress
+from triform.commands.terminal import Terminal, given_options, maps_progress
 from triform.types import ConfigurationError
 
 
@@ -64,7 +64,7 @@ class Train:
 
         from triform.dataset import load_manifest
         from triform.simulation import get_profile
-        from triform.training import get_preset, train
+        from triform.training import PRESETS, train
         from triform.training.processes import launched
 
         if not launched().first:
@@ -72,10 +72,8 @@ class Train:
         if self.threads < 1:
             raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
         torch.set_num_threads(self.threads)
-        preset, given = (
-            get_preset(self.preset),
-            given_options(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision"),
-        )
+        preset = PRESETS[self.preset]
+        given = given_options(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision")
         if self.data is not None and self.teacher is None and preset.scenes is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(preset, **given)
@@ -96,8 +94,6 @@ class Train:
                     description=f"training, loss {at.loss:.4f}",
                 ),
             )
-        console.print(
+        Terminal(console).say(
             f"best policy: {best}; to use it:\ntriform export {best}\ntriform evaluate --controller policy:{best}",
-            soft_wrap=True,
-            markup=False,
         )

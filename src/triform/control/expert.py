@@ -7,21 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from triform.control.loop import true_poses
 from triform.geometry import gabriel_into
 from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
 from triform.geometry.gabriel import ROBOTS_PER_THREAD
 from triform.geometry.gabriel_kernels import list_neighbours, make_workspace
 from triform.kernels import kernel
 from triform.threads import in_parts, usable_threads
-from triform.types import (
-    SENSING_RANGE,
-    BoolArray,
-    FloatArray,
-    PrivilegedView,
-    TriformError,
-    choose,
-    require,
-)
+from triform.types import SENSING_RANGE, BoolArray, FloatArray, PrivilegedView, choose, require
 
 #: A RoboMaster EP whose centre is this far away still shows its near side to a LiDAR of 2 m [m].
 VISIBLE_RANGE = 2.12
@@ -240,11 +233,7 @@ class Expert:
         Raises:
             TriformError: If the view carries no poses, or poses that are not finite.
         """
-        if not isinstance(view, PrivilegedView):
-            raise TriformError("the expert needs true poses, and this team cannot offer them")
-        if not np.isfinite(view.poses[view.active]).all():
-            raise TriformError("the expert needs finite poses of all active robots")
-        poses, active = np.ascontiguousarray(view.poses, dtype=np.float64), np.ascontiguousarray(view.active)
+        poses, active = true_poses(view, "the expert"), np.ascontiguousarray(view.active)
         springs = Springs(self.distance, self.gain, self.odd_gain, self.max_speed, self.sensing_range)
         out = np.zeros(poses.shape)
         worlds, robots = active.shape

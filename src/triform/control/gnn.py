@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from triform.control.learned import to_twists
+from triform.control.learned import describe_policy, to_twists, twist_spec
+from triform.control.loop import true_poses
 from triform.control.triangulating import BLOCKING_RADIUS
-from triform.policy import GnnRuntime, describe_network, hear
+from triform.policy import GnnRuntime, hear
 from triform.threads import in_parts
-from triform.types import ConfigurationError, FloatArray, PrivilegedView, TriformError, require
+from triform.types import FloatArray, PrivilegedView, require
 
 #: Robots whose commands keep a thread busy for a few milliseconds.
 _ROBOTS_PER_THREAD = 128
@@ -39,16 +40,10 @@ class GnnController:
         Raises:
             ConfigurationError: If the network was not trained for the distance, or does not give body twists.
         """
-        spec = runtime.spec
-        self._scale = spec.scale(distance)
+        self._scale = twist_spec(runtime).scale(distance)
         require(
             0 <= blocking_radius < np.inf, f"blocking_radius is {blocking_radius} m; it must be finite, not negative"
         )
-        if spec.network.outputs not in (3, 4):
-            raise ConfigurationError(
-                f"the policy in {runtime.folder} gives {spec.network.outputs} numbers, not a body twist with or "
-                "without the amplitude of exploration noise"
-            )
         self._runtime = runtime
         self._distance = distance
         self._blocking = blocking_radius
@@ -56,14 +51,8 @@ class GnnController:
     @property
     def description(self) -> dict[str, Any]:
         """Name, weights and network."""
-        return {
-            "name": "gnn",
-            "weights": self._runtime.folder.name,
-            "weights_sha256": self._runtime.spec.weights_sha256,
-            "distance": self._distance,
-            "blocking_radius": self._blocking,
-            "network": describe_network(self._runtime.spec.network),
-        }
+        settings = {"distance": self._distance, "blocking_radius": self._blocking}
+        return {"name": "gnn", **describe_policy(self._runtime, **settings)}
 
     def command(self, view: PrivilegedView) -> FloatArray:
         """Return body twists (B, N, 3) from true poses.
@@ -71,10 +60,7 @@ class GnnController:
         Raises:
             TriformError: If the view carries no poses, or poses that are not finite.
         """
-        if not isinstance(view, PrivilegedView):
-            raise TriformError("a team that talks needs true poses, and this team cannot offer them")
-        if not np.isfinite(view.poses[view.active]).all():
-            raise TriformError("a team that talks needs finite poses of all active robots")
+        all_poses = true_poses(view, "a team that talks")
         commands = np.zeros((*view.active.shape, 3))
         worlds, robots = view.active.shape
         at_once = max(1, _ROBOTS_AT_ONCE // max(robots, 1))
@@ -82,15 +68,15 @@ class GnnController:
         def drive(first: int, last: int) -> None:
             for begin in range(first, last, at_once):
                 some = slice(begin, min(begin + at_once, last))
-                commands[some][view.active[some]] = self._twists(view, some)
+                commands[some][view.active[some]] = self._twists(view, all_poses[some], some)
 
         in_parts(drive, worlds, view.active.size, _ROBOTS_PER_THREAD)
         return commands
 
-    def _twists(self, view: PrivilegedView, worlds: slice) -> FloatArray:
-        """Body twists of the active robots of some worlds, world by world, shape (M, 3)."""
+    def _twists(self, view: PrivilegedView, poses: FloatArray, worlds: slice) -> FloatArray:
+        """Body twists of the active robots of some worlds with their poses, world by world, shape (M, 3)."""
         active = view.active[worlds]
-        poses = view.poses[worlds][active] / (self._distance, self._distance, 1.0)
+        poses = poses[active] / (self._distance, self._distance, 1.0)
         offsets = np.concatenate([[0], np.cumsum(active.sum(axis=1))])
         blocking = np.full(len(active), self._blocking / self._distance)
         answers = self._runtime.commands(hear(poses, offsets, blocking, self._runtime.network.reach))

@@ -8,15 +8,37 @@ from typing import Any
 import numpy as np
 
 from triform.control.scan_packer import SCANS_AT_ONCE, ScanPacker
-from triform.policy import PolicyRuntime, PolicySpec, describe_network, map_network
+from triform.policy import GnnRuntime, PolicyRuntime, PolicySpec, describe_network, map_network
 from triform.threads import in_parts
-from triform.types import ConfigurationError, FloatArray, Scan, ScanConfig, View
+from triform.types import FloatArray, Scan, ScanConfig, View, require
 
 #: Robots whose commands keep a thread busy for a few milliseconds.
 _ROBOTS_PER_THREAD = 64
 
 #: By then every robot has had its first scan [s].
 _FIRST_SCAN = 1.0
+
+
+def twist_spec(runtime: PolicyRuntime | GnnRuntime) -> PolicySpec:
+    """Return what a policy says of itself.
+
+    Raises:
+        ConfigurationError: It does not give body twists.
+    """
+    outputs = runtime.spec.network.outputs
+    require(
+        outputs in (3, 4),
+        f"the policy in {runtime.folder} gives {outputs} numbers, not a body twist with or without the amplitude of "
+        "exploration noise",
+    )
+    return runtime.spec
+
+
+def describe_policy(runtime: PolicyRuntime | GnnRuntime, **settings: Any) -> dict[str, Any]:
+    """Return weights, settings and network of a policy, plain JSON values."""
+    spec = runtime.spec
+    weights = {"weights": runtime.folder.name, "weights_sha256": spec.weights_sha256}
+    return {**weights, **settings, "network": describe_network(spec.network)}
 
 
 def to_twists(answers: FloatArray, noise: FloatArray | None, spec: PolicySpec, scale: float) -> FloatArray:
@@ -54,15 +76,9 @@ class LearnedPolicy:
         Raises:
             ConfigurationError: If the policy was not trained for the distance, or does not give body twists.
         """
-        spec = runtime.spec
+        self._spec = spec = twist_spec(runtime)
         self._scale = spec.scale(distance)
-        if spec.network.outputs not in (3, 4):
-            raise ConfigurationError(
-                f"the policy in {runtime.folder} gives {spec.network.outputs} numbers, not a body twist with or "
-                "without the amplitude of exploration noise"
-            )
         self._runtime = runtime
-        self._spec = spec
         self._network = map_network(spec.network)
         self._distance = distance
         self._clock = clock
@@ -75,13 +91,7 @@ class LearnedPolicy:
     @property
     def description(self) -> dict[str, Any]:
         """Name, weights and network of the policy."""
-        return {
-            "name": "policy",
-            "weights": self._runtime.folder.name,
-            "weights_sha256": self._spec.weights_sha256,
-            "distance": self._distance,
-            "network": describe_network(self._spec.network),
-        }
+        return {"name": "policy", **describe_policy(self._runtime, distance=self._distance)}
 
     def command(self, view: View) -> FloatArray:
         """Body twists (B, N, 3) from the newest scans.

@@ -48,6 +48,23 @@ def drive(
         team.apply(commands, team.control_period)
 
 
+def true_poses(view: View, who: str) -> FloatArray:
+    """Return everybody's true pose, shape (B, N, 3), contiguous.
+
+    Args:
+        view: What a team senses.
+        who: The controller, for the sentence that refuses.
+
+    Raises:
+        TriformError: The view carries no poses, or poses that are not finite.
+    """
+    if not isinstance(view, PrivilegedView):
+        raise TriformError(f"{who} needs true poses, and this team cannot offer them")
+    if not np.isfinite(view.poses[view.active]).all():
+        raise TriformError(f"{who} needs finite poses of all active robots")
+    return np.ascontiguousarray(view.poses, dtype=np.float64)
+
+
 def control_steps(duration: float, control_period: float) -> int:
     """Return how many control periods [s] make up ``duration`` [s].
 

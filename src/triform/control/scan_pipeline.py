@@ -129,6 +129,11 @@ def _triangulate_robots(seen, distance, law, max_speed, noise, out, first, last)
             _triangulating_command(centres, count, distance, law, max_speed, noise[m], workspace, out[m])
 
 
+def _rows(values: FloatArray | None, robots: int, width: int) -> FloatArray:
+    """Values of all robots, shape (M, width); zeros where the view has none."""
+    return np.zeros((robots, width)) if values is None else np.ascontiguousarray(values).reshape(-1, width)
+
+
 class ScanPipeline:
     """Model-based ``Controller[View]``: detected centres, Gabriel graph, and one of two laws.
 
@@ -196,26 +201,19 @@ class ScanPipeline:
         scan = view.scans
         ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
         active = view.active.reshape(-1)
-        odometry = (
-            np.zeros((len(ranges), 3)) if view.odometry is None else np.ascontiguousarray(view.odometry).reshape(-1, 3)
-        )
+        odometry, noise = _rows(view.odometry, len(ranges), 3), _rows(view.noise, len(ranges), 2)
         sight = (ranges, active, odometry, self._footprint, ray_directions(scan), scan.config.angle_min)
         out = np.empty((len(ranges), 3))
-        if self._triangulating is None:
-            seen = _Seen(*sight, scan.config.range_max)
-            in_parts(
-                lambda first, last: _command_robots(seen, *self._springs, out, first, last),
-                len(ranges), len(ranges), SCANS_PER_THREAD,
-            )  # fmt: skip
-        else:
-            distance, _, max_speed = self._springs
-            law = self._triangulating.constants
-            noise = (
-                np.zeros((len(ranges), 2)) if view.noise is None else np.ascontiguousarray(view.noise).reshape(-1, 2)
-            )
-            seen = _Seen(*sight, min(scan.config.range_max, SENSING_RANGE * distance))
-            in_parts(
-                lambda first, last: _triangulate_robots(seen, distance, law, max_speed, noise, out, first, last),
-                len(ranges), len(ranges), SCANS_PER_THREAD,
-            )  # fmt: skip
+        distance, gain, max_speed = self._springs
+
+        def steer(first: int, last: int) -> None:
+            if self._triangulating is None:
+                seen = _Seen(*sight, scan.config.range_max)
+                _command_robots(seen, distance, gain, max_speed, out, first, last)
+            else:
+                seen = _Seen(*sight, min(scan.config.range_max, SENSING_RANGE * distance))
+                law = self._triangulating.constants
+                _triangulate_robots(seen, distance, law, max_speed, noise, out, first, last)
+
+        in_parts(steer, len(ranges), len(ranges), SCANS_PER_THREAD)
         return out.reshape(*view.active.shape, 3)

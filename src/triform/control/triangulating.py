@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from triform.control.loop import true_poses
 from triform.control.triangulating_kernels import LawConstants, hidden, law_workspace, triangulate
 from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import FloatArray, PrivilegedView, TriformError, require
+from triform.types import FloatArray, PrivilegedView, require
 
 #: Robots whose commands keep a thread busy for a few milliseconds.
 _ROBOTS_PER_THREAD = 3_000
@@ -205,11 +206,7 @@ class Triangulating:
         Raises:
             TriformError: If the view carries no poses, or poses that are not finite.
         """
-        if not isinstance(view, PrivilegedView):
-            raise TriformError("the triangulating law needs true poses, and this team cannot offer them")
-        if not np.isfinite(view.poses[view.active]).all():
-            raise TriformError("the triangulating law needs finite poses of all active robots")
-        poses, active = np.ascontiguousarray(view.poses, dtype=np.float64), np.ascontiguousarray(view.active)
+        poses, active = true_poses(view, "the triangulating law"), np.ascontiguousarray(view.active)
         noise = np.zeros((*active.shape, 2)) if view.noise is None else np.ascontiguousarray(view.noise)
         out = np.empty(poses.shape)
         in_parts(

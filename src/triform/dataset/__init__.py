@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from triform.dataset.collect import Progress, collect
-from triform.dataset.configuration import PAPER, PRESETS, QUICK, CollectionConfig
+from triform.dataset.configuration import PRESETS, CollectionConfig
 from triform.dataset.fresh import FreshBatch, StateConfig, draw_fresh
 from triform.dataset.inputs import fresh_inputs
 from triform.dataset.manifest import MANIFEST, Manifest, Shard, load_manifest
@@ -17,9 +17,7 @@ from triform.dataset.teams import TeamLabels, TeamStates, draw_states, label_sta
 __all__ = [
     "COLUMNS",
     "MANIFEST",
-    "PAPER",
     "PRESETS",
-    "QUICK",
     "CollectionConfig",
     "Demonstrations",
     "FreshBatch",

@@ -35,7 +35,6 @@ Progress = Callable[[int, int], None]
 def collect(
     out: Path,
     config: CollectionConfig,
-    workers: int | None = None,
     progress: Progress | None = None,
     engine: Engine | None = None,
 ) -> Manifest:
@@ -48,9 +47,8 @@ def collect(
     Args:
         out: Folder of the data set; created if need be.
         config: What to collect, for example ``PRESETS["paper"]``.
-        workers: Shards collected side by side, one thread each; all usable processors by default.
         progress: Called from this thread whenever some maps are finished, and once at the start.
-        engine: Where shards are collected; ``workers`` threads of this process if omitted. This process writes them.
+        engine: Where shards are collected; the threads of this process if omitted. This process writes them.
 
     Returns:
         The manifest of the complete data set.
@@ -59,9 +57,8 @@ def collect(
         TriformError: If the folder holds something else, a data set of another configuration or of other package
             versions, or a damaged shard; if it cannot be written; if the disk is full. What was finished before
             stays and can be continued.
-        ConfigurationError: If ``workers`` is not positive.
     """
-    engine = LocalEngine(workers) if engine is None else engine
+    engine = engine or LocalEngine()
     folder = Path(out)
     _prepare_folder(folder)
     with exclusive(folder):

@@ -137,31 +137,23 @@ class CollectionConfig:
         count = self.run_records(run)
         return [range(begin, min(begin + self.group_records, count)) for begin in range(0, count, self.group_records)]
 
-    @property
-    def roll_out_seed(self) -> int:
-        """Seed of the starts of the roll-outs."""
-        return self._stream_seed(_ROLL_OUT_STARTS)
-
-    @property
-    def placement_seed(self) -> int:
-        """Seed of the random placements."""
-        return self._stream_seed(_PLACEMENTS)
+    def start_seed(self, *, placements: bool) -> int:
+        """Seed of the random placements, or of the starts of the roll-outs."""
+        stream = _PLACEMENTS if placements else _ROLL_OUT_STARTS
+        return int(np.random.SeedSequence([self.seed, stream]).generate_state(1, np.uint64)[0])
 
     def jitter_generator(self, run: int) -> np.random.Generator:
         """Random numbers for the jitter of one roll-out."""
-        return np.random.default_rng(np.random.SeedSequence([self.seed, _JITTER, run]))
+        return np.random.default_rng([self.seed, _JITTER, run])
 
     def validation_runs(self) -> IntArray:
         """Runs held out for validation, ascending: the share of the roll-outs and of the blocks, each rounded."""
-        generator = np.random.default_rng(np.random.SeedSequence([self.seed, _SPLIT]))
+        generator = np.random.default_rng([self.seed, _SPLIT])
         chosen = [
             first + generator.permutation(count)[: round(count * self.validation_share)]
             for first, count in ((0, self.runs), (self.runs, self.blocks))
         ]
         return np.sort(np.concatenate(chosen)).astype(np.int64)
-
-    def _stream_seed(self, stream: int) -> int:
-        return int(np.random.SeedSequence([self.seed, stream]).generate_state(1, np.uint64)[0])
 
     def to_json(self) -> dict[str, Any]:
         """The configuration as plain JSON values."""
@@ -194,10 +186,11 @@ def _build(kind: type[_Dataclass], values: object, name: str) -> _Dataclass:
         raise ConfigurationError(f"{name} holds a value of the wrong kind: {error}") from error
 
 
-#: The data set of the paper: 600 roll-outs of 1000 steps and 400,000 random placements of seven robots.
-PAPER = CollectionConfig()
-
-#: A small data set of the same make, collected in seconds.
-QUICK = CollectionConfig(runs=20, steps=100, placements=2000, block_placements=100, shard_runs=5, group_records=50)
-
-PRESETS: dict[str, CollectionConfig] = {"paper": PAPER, "quick": QUICK}
+#: That of the paper, 600 roll-outs of 1000 steps and 400,000 random placements of seven robots, and a small one of the
+#: same make, collected in seconds.
+PRESETS = {
+    "paper": CollectionConfig(),
+    "quick": CollectionConfig(
+        runs=20, steps=100, placements=2000, block_placements=100, shard_runs=5, group_records=50
+    ),
+}

@@ -13,17 +13,12 @@ from triform.simulation.kinematics import integrate, limit_twists
 from triform.types import FloatArray
 
 
-def make_teacher(config: CollectionConfig) -> Teacher:
-    """The teacher of a data set."""
-    return Teacher(config.teacher, config.distance, config.gain, config.max_speed)
-
-
 def demonstrate(config: CollectionConfig, runs: Sequence[int]) -> list[tuple[FloatArray, FloatArray]]:
     """Poses (T, N, 3) and the teacher's body twists (T, N, 3) of the records of every run.
 
     What a run holds depends on the configuration and the run alone, not on the runs computed with it.
     """
-    teacher = make_teacher(config)
+    teacher = Teacher(config.teacher, config.distance, config.gain, config.max_speed)
     roll_outs = [run for run in runs if config.is_roll_out(run)]
     blocks = [run for run in runs if not config.is_roll_out(run)]
     return [*_roll_outs(config, teacher, roll_outs), *(_block(config, teacher, run) for run in blocks)]
@@ -37,7 +32,8 @@ def _roll_outs(config: CollectionConfig, teacher: Teacher, runs: Sequence[int]) 
     """
     if not runs:
         return []
-    poses = np.concatenate([sample_starts(config.robots, 1, config.roll_out_seed, first=run) for run in runs])
+    seed = config.start_seed(placements=False)
+    poses = np.concatenate([sample_starts(config.robots, 1, seed, first=run) for run in runs])
     drive = Drive(max_speed=config.speed_limit)
     driven = np.empty((len(runs), config.steps, config.robots, 3))
     commands = np.empty_like(driven)
@@ -59,5 +55,6 @@ def _jitter(config: CollectionConfig, run: int, poses: FloatArray) -> FloatArray
 
 def _block(config: CollectionConfig, teacher: Teacher, run: int) -> tuple[FloatArray, FloatArray]:
     first = (run - config.runs) * config.block_placements
-    poses = sample_starts(config.robots, config.run_records(run), config.placement_seed, first=first)
+    seed = config.start_seed(placements=True)
+    poses = sample_starts(config.robots, config.run_records(run), seed, first=first)
     return poses, teacher.label(poses)

@@ -212,16 +212,9 @@ def draw_fresh(
     batch_maps = np.zeros((records, robots, size, size), dtype=np.uint8)
     commands = np.empty((records, robots, 3))
     neighbours = np.empty((records, robots, robots - 1, COLUMNS))
-    draws = _Draws(
-        states.side,
-        states.min_spacing,
-        states.moved,
-        states.settled,
-        states.moved_time,
-        states.settled_time,
-        np.array(states.moved_jitter),
-        np.array(states.settled_jitter),
-    )
+    values = {name: getattr(states, name) for name in _Draws._fields}
+    jitters = {name: np.array(values[name]) for name in ("moved_jitter", "settled_jitter")}
+    draws = _Draws(**(values | jitters))
     labelling, arena = teacher.springs, Arena.open()
     driving = labelling._replace(max_speed=min(states.max_speed, teacher.max_speed))
     scene, rules = Scene(footprint.body, arena.walls, arena.pillars), map_rules(scan, map_config)

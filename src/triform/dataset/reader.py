@@ -154,7 +154,7 @@ class Demonstrations:
     def _pools(self, split: Split, key: tuple[int, int] | None, pool_records: int) -> list[list[_Group]]:
         """Row groups in the order of reading, cut into pools."""
         groups = self._groups[split]
-        order = range(len(groups)) if key is None else _generator(key, 0).permutation(len(groups))
+        order = range(len(groups)) if key is None else np.random.default_rng([*key, 0]).permutation(len(groups))
         pools: list[list[_Group]] = []
         filled = pool_records
         for index in order:
@@ -171,7 +171,9 @@ class Demonstrations:
         for group in pool:
             by_shard[group.shard].append(group.index)
         records = concatenate([self._shard(shard).read(sorted(groups)) for shard, groups in sorted(by_shard.items())])
-        return records if key is None else records.take(_generator(key, number + 1).permutation(len(records)))
+        if key is None:
+            return records
+        return records.take(np.random.default_rng([*key, number + 1]).permutation(len(records)))
 
     def _shard(self, index: int) -> ShardFile:
         """A shard whose checksum was compared."""
@@ -179,7 +181,3 @@ class Demonstrations:
             check_shard(self._folder, self._manifest.shards[index])
             self._shards[index] = ShardFile(shard_path(self._folder, index), self._manifest.config)
         return self._shards[index]
-
-
-def _generator(key: tuple[int, int], stream: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence([*key, stream]))

@@ -139,22 +139,8 @@ class BufferedStates(NamedTuple):
 
 def scene_draws(config: SceneConfig) -> SceneDraws:
     """Return what varies from state to state as kernels take it."""
-    return SceneDraws(
-        config.placed,
-        config.sizes,
-        np.array(config.jitter),
-        config.distances,
-        config.usual,
-        config.footprint.body,
-        config.noisy,
-        config.noise,
-        config.dropping,
-        config.dropout,
-        config.walled,
-        config.pillared,
-        config.views,
-        config.max_speed,
-    )
+    values = {**vars(config), "jitter": np.array(config.jitter), "outline": config.footprint.body}
+    return SceneDraws(**{name: values[name] for name in SceneDraws._fields})
 
 
 def buffered_states(states: StateBuffer) -> BufferedStates:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
-from triform.simulation import Footprint, LidarConfig, Profile, constant_noise
+from triform.simulation import Drive, Footprint, LidarConfig, Profile, constant_noise
 from triform.types import SENSING_RANGE, require
+
+Settings = TypeVar("Settings", LidarConfig, Drive, Profile)
 
 #: How far a LiDAR reaches at most [m]; a robot uses 2 d* of it.
 LIDAR_REACH = 8.0
@@ -58,37 +61,27 @@ class Overrides:
         Raises:
             ConfigurationError: There is no such footprint.
         """
-        drive, footprint, latency = profile.drive, profile.footprint, profile.latency
-        if self.speed_limit is not None:
-            drive = replace(drive, max_speed=self.speed_limit)
-        if self.acceleration is not None:
-            drive = replace(drive, max_acceleration=self.acceleration)
-        if self.lag is not None:
-            drive = replace(drive, lag=self.lag)
-        if self.footprint is not None:
-            footprint = Footprint.parse(self.footprint)
-        if self.latency is not None:
-            latency = self.latency
-        lidar = self._lidar(profile.lidar, distance)
+        noise = self.range_noise
+        lidar = _given(
+            profile.lidar,
+            scan=replace(profile.lidar.scan, range_max=SENSING_RANGE * distance),
+            noise=None if noise is None else constant_noise(noise) if noise > 0 else (),
+            dropout=self.dropout,
+            period=None if self.scan_rate is None else 1 / self.scan_rate,
+        )
+        drive = _given(profile.drive, max_speed=self.speed_limit, max_acceleration=self.acceleration, lag=self.lag)
         in_step = profile.control_period == profile.lidar.period
-        control_period = lidar.period if in_step else profile.control_period
-        return replace(
+        return _given(
             profile,
-            footprint=footprint,
+            footprint=None if self.footprint is None else Footprint.parse(self.footprint),
             lidar=lidar,
             drive=drive,
-            control_period=control_period,
-            latency=latency,
+            control_period=lidar.period if in_step else None,
+            latency=self.latency,
             odometry=profile.odometry and self.odometry,
         )
 
-    def _lidar(self, lidar: LidarConfig, distance: float) -> LidarConfig:
-        noise, dropout, period = lidar.noise, lidar.dropout, lidar.period
-        if self.range_noise is not None:
-            noise = constant_noise(self.range_noise) if self.range_noise > 0 else ()
-        if self.dropout is not None:
-            dropout = self.dropout
-        if self.scan_rate is not None:
-            period = 1 / self.scan_rate
-        scan = replace(lidar.scan, range_max=SENSING_RANGE * distance)
-        return replace(lidar, scan=scan, noise=noise, dropout=dropout, period=period)
+
+def _given(settings: Settings, **values: Any) -> Settings:
+    """Return settings with the values that are not ``None`` in place of their own."""
+    return replace(settings, **{name: value for name, value in values.items() if value is not None})

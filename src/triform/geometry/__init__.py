@@ -1,7 +1,7 @@
 """Pure geometry: frames, the Gabriel graph and the quality of a triangulation."""
 
-from triform.geometry.frames import body_to_world, world_to_body, wrap_angle
-from triform.geometry.gabriel import gabriel_edges, gabriel_graph, gabriel_into
+from triform.geometry.frames import body_to_world, wrap_angle
+from triform.geometry.gabriel import gabriel_graph, gabriel_into
 from triform.geometry.quality import EDGE_TOLERANCE, Quality, assess, edge_error, smallest_distance
 
 __all__ = [
@@ -10,10 +10,8 @@ __all__ = [
     "assess",
     "body_to_world",
     "edge_error",
-    "gabriel_edges",
     "gabriel_graph",
     "gabriel_into",
     "smallest_distance",
-    "world_to_body",
     "wrap_angle",
 ]

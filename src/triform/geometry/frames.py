@@ -22,11 +22,6 @@ def body_to_world(vectors: FloatArray, heading: FloatArray | float) -> FloatArra
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
-def world_to_body(vectors: FloatArray, heading: FloatArray | float) -> FloatArray:
-    """Rotate planar vectors from the world frame into the body frame; inverse of ``body_to_world``."""
-    return body_to_world(vectors, -np.asarray(heading))
-
-
 def wrap_angle(angle: FloatArray | float) -> FloatArray:
     """Wrap angles [rad] into [-pi, pi)."""
     wrapped = np.asarray((np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi, dtype=np.float64)

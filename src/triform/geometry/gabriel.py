@@ -13,21 +13,34 @@ Small teams are treated by that definition, larger ones by cells in time linear 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
-from triform.geometry.cells import SMALL_TEAM, extended, make_cells
+from triform.geometry.cells import SMALL_TEAM, extended, list_cells, make_cells
 from triform.geometry.gabriel_kernels import list_neighbours, make_workspace
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import BoolArray, ConfigurationError, FloatArray, IntArray
+from triform.types import BoolArray, FloatArray, require
 
 #: Robots that keep a thread busy for a few milliseconds, in small teams and in large ones.
 ROBOTS_PER_THREAD = 10_000
 
 
 @kernel
-def are_neighbours(positions, active, i, j, limit):
+def _fill_graph(positions, active, limit, out):
+    """Write the graph by its definition."""
+    for i in range(active.shape[0]):
+        out[i, i] = False
+        for j in range(i):
+            out[i, j] = out[j, i] = _are_neighbours(positions, active, i, j, limit)
+
+
+@kernel
+def _are_neighbours(positions, active, i, j, limit):
     """Whether two robots are Gabriel neighbours, by the definition; ``limit`` is the squared longest edge [m^2]."""
     if not (active[i] and active[j]):
         return False
@@ -59,26 +72,26 @@ def gabriel_lists(positions, active, max_range):
     robots = active.shape[0]
     limit = max_range * max_range
     offsets = np.zeros(robots + 1, dtype=np.int64)
-    listed = np.empty((8 * robots + 8, 1), dtype=np.int64)
     filled = 0
     if robots <= SMALL_TEAM:
+        graph = np.empty((robots, robots), dtype=np.bool_)
+        _fill_graph(positions, active, limit, graph)
+        few = np.empty(robots * robots, dtype=np.int64)
         for i in range(robots):
-            listed = extended(listed, filled + robots)
             for j in range(robots):
-                if j != i and are_neighbours(positions, active, i, j, limit):
-                    listed[filled, 0] = j
+                if graph[i, j]:
+                    few[filled] = j
                     filled += 1
             offsets[i + 1] = filled
-        return offsets, listed[:filled, 0].copy()
+        return offsets, few[:filled]
+    listed = np.empty((8 * robots + 8, 1), dtype=np.int64)
     world = make_cells(positions, active)
     order, _, parts, _ = world
     workspace = make_workspace(order.shape[0])
     begins = np.empty(order.shape[0], dtype=np.int64)
     ends = np.empty(order.shape[0] + 1, dtype=np.int64)
     in_cell = np.empty((64, 1), dtype=np.int64)
-    for cell in range(parts.shape[0]):
-        if parts[cell, 2] > 0:
-            continue
+    for cell in list_cells(world):
         in_cell = list_neighbours(world, cell, limit, workspace, in_cell, ends)
         for own in range(parts[cell, 0], parts[cell, 1]):
             k = own - parts[cell, 0]
@@ -116,22 +129,18 @@ def gabriel_into(positions, active, max_range, out):
         for i in range(robots):
             for k in range(offsets[i], offsets[i + 1]):
                 out[i, neighbours[k]] = True
-        return
-    limit = max_range * max_range
-    for i in range(robots):
-        out[i, i] = False
-        for j in range(i):
-            out[i, j] = out[j, i] = are_neighbours(positions, active, i, j, limit)
+    else:
+        _fill_graph(positions, active, max_range * max_range, out)
 
 
 @kernel
-def _gabriel_worlds(positions, active, max_range, out, first, last):
+def _gabriel_worlds(max_range, positions, active, out, first, last):
     for b in range(first, last):
         gabriel_into(positions[b], active[b], max_range, out[b])
 
 
 def gabriel_graph(positions: FloatArray, max_range: float = np.inf, active: BoolArray | None = None) -> BoolArray:
-    """Gabriel graph of every world as a matrix; ``gabriel_edges`` needs less memory for a large team.
+    """Gabriel graph of every world as a matrix.
 
     With a finite ``max_range`` the graph holds the edges of the full graph that are no longer than it. That is
     also what a robot finds from the robots within ``max_range`` of itself alone: whoever blocks one of its edges
@@ -149,38 +158,32 @@ def gabriel_graph(positions: FloatArray, max_range: float = np.inf, active: Bool
         ConfigurationError: If the shapes do not fit, a position is not finite or ``max_range`` is negative.
     """
     points, mask = checked_points(positions, active, max_range)
-    robots = points.shape[-2]
-    out = np.empty((*points.shape[:-2], robots, robots), dtype=np.bool_)
-    count = math.prod(points.shape[:-2])
-    worlds, masks = points.reshape(count, robots, 2), mask.reshape(count, robots)
-    graphs = out.reshape(count, robots, robots)
-    in_parts(
-        lambda first, last: _gabriel_worlds(worlds, masks, max_range, graphs, first, last),
-        count, count * robots, ROBOTS_PER_THREAD,
-    )  # fmt: skip
-    return out
+    matrix = (points.shape[-2], points.shape[-2])
+    (graph,) = per_world(partial(_gabriel_worlds, float(max_range)), points, mask, np.bool_, shape=matrix)
+    return graph
 
 
-def gabriel_edges(positions: FloatArray, max_range: float = np.inf, active: BoolArray | None = None) -> IntArray:
-    """Gabriel graph of one world as a list of edges, in time and memory linear in the number of robots.
+def per_world(
+    kernel: Callable[..., object], points: FloatArray, mask: BoolArray, *dtypes: DTypeLike, shape: tuple[int, ...] = ()
+) -> list[NDArray[Any]]:
+    """Call ``kernel(points, mask, *results, first, last)`` for all worlds, side by side where that pays.
 
     Args:
-        positions: Positions [m], shape (N, 2).
-        max_range: Longest edge [m].
-        active: Robots that exist, shape (N,); all by default.
+        kernel: Fills the results of the worlds ``first <= b < last`` from points (B, N, 2) and mask (B, N).
+        points: Positions [m], shape (..., N, 2), from ``checked_points``.
+        mask: Robots that exist, shape (..., N).
+        *dtypes: Type of every result.
+        shape: Shape of one world's result.
 
     Returns:
-        Indices (i, j) of the robots of every edge, i < j, in growing order, shape (E, 2).
-
-    Raises:
-        ConfigurationError: If the shapes do not fit, a position is not finite or ``max_range`` is negative.
+        The results, each of shape (..., *shape).
     """
-    points, mask = checked_points(positions, active, max_range)
-    if points.ndim != 2:
-        raise ConfigurationError(f"positions have shape {points.shape}; (N, 2) is needed")
-    offsets, neighbours = gabriel_lists(points, mask, float(max_range))
-    edges = np.stack([np.repeat(np.arange(len(points)), np.diff(offsets)), neighbours], axis=1)
-    return np.ascontiguousarray(edges[edges[:, 0] < edges[:, 1]])
+    *lead, robots, _ = points.shape
+    count = math.prod(lead)
+    worlds, masks = points.reshape(count, robots, 2), mask.reshape(count, robots)
+    results = [np.empty((count, *shape), dtype) for dtype in dtypes]
+    in_parts(lambda first, last: kernel(worlds, masks, *results, first, last), count, count * robots, ROBOTS_PER_THREAD)
+    return [result.reshape((*lead, *shape)) for result in results]
 
 
 def checked_points(positions: FloatArray, active: BoolArray | None, max_range: float) -> tuple[FloatArray, BoolArray]:
@@ -190,15 +193,10 @@ def checked_points(positions: FloatArray, active: BoolArray | None, max_range: f
         ConfigurationError: If the shapes do not fit, the position of an active robot is not finite or ``max_range``
             is negative.
     """
-    if not max_range >= 0:
-        raise ConfigurationError(f"max_range is {max_range} m; it must not be negative")
+    require(max_range >= 0, f"max_range is {max_range} m; it must not be negative")
     points = np.ascontiguousarray(positions, dtype=np.float64)
-    if points.ndim < 2 or points.shape[-1] != 2:
-        raise ConfigurationError(f"positions have shape {points.shape}; (..., N, 2) is needed")
-    if active is None:
-        mask = np.ones(points.shape[:-1], dtype=np.bool_)
-    else:
-        mask = np.ascontiguousarray(np.broadcast_to(active, points.shape[:-1]), dtype=np.bool_)
-    if not np.isfinite(points[mask]).all():
-        raise ConfigurationError("positions of active robots must be finite")
+    require(points.ndim >= 2 and points.shape[-1] == 2, f"positions have shape {points.shape}; (..., N, 2) is needed")
+    present = True if active is None else active
+    mask = np.ascontiguousarray(np.broadcast_to(present, points.shape[:-1]), dtype=np.bool_)
+    require(bool(np.isfinite(points[mask]).all()), "positions of active robots must be finite")
     return points, mask

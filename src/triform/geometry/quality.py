@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from triform.geometry.cells import SMALL_TEAM, smallest_distance_of
-from triform.geometry.gabriel import ROBOTS_PER_THREAD, are_neighbours, checked_points, gabriel_lists
+from triform.geometry.cells import smallest_distance_of, squared_distance
+from triform.geometry.gabriel import checked_points, gabriel_lists, per_world
 from triform.kernels import kernel
-from triform.threads import in_parts
 from triform.types import BoolArray, FloatArray, IntArray, require
 
 #: An edge is right when its length is within this share of the prescribed distance.
@@ -38,30 +38,6 @@ class Quality:
 
 
 @kernel
-def _relative_error(positions, i, j, distance):
-    """Relative error of the length of one edge."""
-    dx = positions[i, 0] - positions[j, 0]
-    dy = positions[i, 1] - positions[j, 1]
-    return abs(np.sqrt(dx * dx + dy * dy) - distance) / distance
-
-
-@kernel
-def _edge_error(positions, active, distance, max_range):
-    """Mean relative edge error of one world; NaN without edges."""
-    if active.shape[0] > SMALL_TEAM:
-        offsets, neighbours = gabriel_lists(positions, active, max_range)
-        return _listed_errors(positions, offsets, neighbours, distance)[0]
-    total = 0.0
-    edges = 0
-    for i in range(active.shape[0]):
-        for j in range(i):
-            if are_neighbours(positions, active, i, j, max_range * max_range):
-                total += _relative_error(positions, i, j, distance)
-                edges += 1
-    return total / edges if edges > 0 else np.nan
-
-
-@kernel
 def _listed_errors(positions, offsets, neighbours, distance):
     """Mean relative edge error, worst relative edge error and number of edges; NaN without edges."""
     total = 0.0
@@ -70,7 +46,7 @@ def _listed_errors(positions, offsets, neighbours, distance):
     for i in range(offsets.shape[0] - 1):
         for k in range(offsets[i], offsets[i + 1]):
             if neighbours[k] < i:
-                error = _relative_error(positions, i, neighbours[k], distance)
+                error = abs(np.sqrt(squared_distance(positions, i, neighbours[k])) - distance) / distance
                 total += error
                 worst = max(worst, error)
                 edges += 1
@@ -141,7 +117,7 @@ def _triangles(offsets, neighbours):
 
 @kernel
 def _assess_worlds(
-    positions, active, distance, max_range, error, edges_out, connected, strict, compactness, first, last
+    distance, max_range, positions, active, error, edges_out, connected, strict, compactness, first, last
 ):
     for b in range(first, last):
         offsets, neighbours = gabriel_lists(positions[b], active[b], max_range)
@@ -162,22 +138,20 @@ def _assess_worlds(
 
 
 @kernel
-def _edge_error_worlds(positions, active, distance, max_range, out, first, last):
+def _edge_error_worlds(distance, max_range, positions, active, error, first, last):
     for b in range(first, last):
-        out[b] = _edge_error(positions[b], active[b], distance, max_range)
+        offsets, neighbours = gabriel_lists(positions[b], active[b], max_range)
+        error[b] = _listed_errors(positions[b], offsets, neighbours, distance)[0]
 
 
 @kernel
-def _smallest_distances(positions, active, out, first, last):
+def _smallest_distances(positions, active, smallest, first, last):
     for b in range(first, last):
-        out[b] = smallest_distance_of(positions[b], active[b])
+        smallest[b] = smallest_distance_of(positions[b], active[b])
 
 
 def assess(
-    positions: FloatArray,
-    distance: float = 1.0,
-    max_range: float = np.inf,
-    active: BoolArray | None = None,
+    positions: FloatArray, distance: float = 1.0, max_range: float = np.inf, active: BoolArray | None = None
 ) -> Quality:
     """Measure formations on their Gabriel graph.
 
@@ -195,39 +169,17 @@ def assess(
     """
     require(distance > 0, f"distance is {distance} m; it must be positive")
     points, mask = checked_points(positions, active, max_range)
-    lead = points.shape[:-2]
-    robots = points.shape[-2]
-    error = np.empty(lead)
-    edges = np.empty(lead, dtype=np.int64)
-    connected = np.empty(lead, dtype=np.bool_)
-    strict = np.empty(lead, dtype=np.bool_)
-    compactness = np.empty(lead)
-    worlds, masks = points.reshape(error.size, robots, 2), mask.reshape(error.size, robots)
-    columns = [column.reshape(-1) for column in (error, edges, connected, strict, compactness)]
-    in_parts(
-        lambda first, last: _assess_worlds(worlds, masks, distance, max_range, *columns, first, last),
-        error.size, error.size * robots, ROBOTS_PER_THREAD,
-    )  # fmt: skip
-    return Quality(error, edges, connected, strict, compactness)
+    kernel = partial(_assess_worlds, float(distance), float(max_range))
+    return Quality(*per_world(kernel, points, mask, np.float64, np.int64, np.bool_, np.bool_, np.float64))
 
 
 def edge_error(
-    positions: FloatArray,
-    distance: float = 1.0,
-    max_range: float = np.inf,
-    active: BoolArray | None = None,
+    positions: FloatArray, distance: float = 1.0, max_range: float = np.inf, active: BoolArray | None = None
 ) -> FloatArray:
     """Mean relative edge error ``E_g / d*`` alone, for long series; arguments and errors as ``assess``."""
     require(distance > 0, f"distance is {distance} m; it must be positive")
     points, mask = checked_points(positions, active, max_range)
-    robots = points.shape[-2]
-    out = np.empty(points.shape[:-2])
-    worlds, masks, flat = points.reshape(out.size, robots, 2), mask.reshape(out.size, robots), out.reshape(-1)
-    in_parts(
-        lambda first, last: _edge_error_worlds(worlds, masks, distance, max_range, flat, first, last),
-        out.size, out.size * robots, ROBOTS_PER_THREAD,
-    )  # fmt: skip
-    return out
+    return per_world(partial(_edge_error_worlds, float(distance), float(max_range)), points, mask, np.float64)[0]
 
 
 def smallest_distance(positions: FloatArray, active: BoolArray | None = None) -> FloatArray:
@@ -243,12 +195,4 @@ def smallest_distance(positions: FloatArray, active: BoolArray | None = None) ->
     Raises:
         ConfigurationError: If the positions are malformed.
     """
-    points, mask = checked_points(positions, active, np.inf)
-    robots = points.shape[-2]
-    out = np.empty(points.shape[:-2])
-    worlds, masks, flat = points.reshape(out.size, robots, 2), mask.reshape(out.size, robots), out.reshape(-1)
-    in_parts(
-        lambda first, last: _smallest_distances(worlds, masks, flat, first, last),
-        out.size, out.size * robots, ROBOTS_PER_THREAD,
-    )  # fmt: skip
-    return out
+    return per_world(_smallest_distances, *checked_points(positions, active, np.inf), np.float64)[0]

@@ -38,8 +38,7 @@ class ConvolutionalNetwork(PolicyNetwork):
         self.mix = nn.ModuleList(nn.Conv2d(channels, channels, 3, padding=1) for _ in range(config.depth))
         self.squeeze = nn.Conv2d(channels, config.squeeze, 1)
         self.read = nn.Linear(config.squeeze * config.patches, config.dim)
-        self.norm = nn.LayerNorm(config.dim)
-        self.head = nn.Sequential(nn.Linear(config.dim, config.mlp), nn.GELU(), nn.Linear(config.mlp, config.outputs))
+        self.add_head(config)
 
     def encode(self, tokens: TokenBatch) -> tuple[Tensor, Tensor]:
         """Features of the packed patches (K, channels) and of the maps (M, D)."""
@@ -50,8 +49,3 @@ class ConvolutionalNetwork(PolicyNetwork):
             x = x + functional.relu(layer(x))
         patches = x.flatten(2).transpose(1, 2)[owner, tokens.positions]
         return patches, self.read(functional.relu(self.squeeze(x)).flatten(1))
-
-    def command(self, features: Tensor) -> Tensor:
-        """Commands (M, outputs) from features of maps (M, D)."""
-        out: Tensor = self.head(self.norm(features))
-        return out

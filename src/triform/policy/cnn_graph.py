@@ -5,7 +5,7 @@ It reads whole maps, one byte for each cell; the function is that of ``cnn.Convo
 
 from __future__ import annotations
 
-from onnx import TensorProto, helper
+from onnx import TensorProto
 
 from triform.policy.config import CnnConfig
 from triform.policy.graph import Graph
@@ -19,23 +19,11 @@ def _convolution(graph: Graph, name: str, x: str, shape: tuple[int, int, int], s
     return str(graph.op("Relu", graph.op("Conv", x, weight, bias, strides=[step, step], pads=[margin] * 4)))
 
 
-def build_cnn_graph(config: CnnConfig, weights: bytes, file_name: str) -> bytes:
-    """Write the network as an ONNX model whose weights stand in a safetensors file beside it.
+def build_cnn_graph(graph: Graph, config: CnnConfig) -> bytes:
+    """Finish ``graph`` as the network of shape ``config``; see ``kinds.write_graph``.
 
     The input ``maps`` is uint8 (M, H, H), the output ``commands`` float32 (M, outputs).
-
-    Args:
-        config: Shape of the network.
-        weights: Content of the safetensors file.
-        file_name: Name of that file, which must lie in the model's folder.
-
-    Returns:
-        The serialised model.
-
-    Raises:
-        TriformError: If the weights are not those of such a network.
     """
-    graph = Graph(weights, file_name)
     step, channels, size = config.patch // 2, config.channels, config.map_size
     x = graph.reshape(graph.op("Cast", "maps", to=TensorProto.FLOAT), -1, 1, size, size)
     x = _convolution(graph, "look", x, (config.stem, 1, step + 2), step=step, margin=1)
@@ -46,11 +34,6 @@ def build_cnn_graph(config: CnnConfig, weights: bytes, file_name: str) -> bytes:
     width = config.squeeze * config.patches
     # A row of zeros is added for the time, because a single row is summed in another order than several.
     rows = graph.op("Pad", graph.reshape(x, -1, width), graph.constant("one_row", [0, 0, 1, 0]))
-    features = graph.linear("read", rows, width, config.dim)
-    hidden = graph.linear("head.0", graph.norm("norm", features, config.dim), config.dim, config.mlp)
-    answers = graph.linear("head.2", graph.op("Gelu", hidden), config.mlp, config.outputs)
+    answers = graph.head(graph.linear("read", rows, width, config.dim), config)
     graph.op("Slice", answers, graph.constant("[0]", [0]), graph.constant("[-1]", [-1]), name="commands")
-    return graph.model(
-        [helper.make_tensor_value_info("maps", TensorProto.UINT8, ["maps", size, size])],
-        [helper.make_tensor_value_info("commands", TensorProto.FLOAT, ["maps", config.outputs])],
-    )
+    return graph.model({"maps": (TensorProto.UINT8, ["maps", size, size])}, "maps", config.outputs)

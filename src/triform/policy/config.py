@@ -2,14 +2,56 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
-from triform.types import ConfigurationError, MapConfig, require
+from triform.types import ConfigurationError, MapConfig, choose, require
+
+
+class _Shape:
+    """Base of all shapes: every count is at least 1, and a network fits maps unless it reads others."""
+
+    def __post_init__(self) -> None:
+        for each in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, each.name)
+            require(each.type != "int" or value >= 1, f"network {each.name} is {value}; it must be at least 1")
+
+    def fits(self, _config: MapConfig) -> bool:
+        """Whether the network can stand beside maps of this configuration."""
+        return True
 
 
 @dataclass(frozen=True)
-class NetworkConfig:
+class _MapShape(_Shape):
+    """Base of the shapes of networks that read occupancy maps, patch by patch."""
+
+    map_size: int = 100
+    patch: int = 10
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(
+            self.map_size % self.patch == 0,
+            f"a map of {self.map_size} cells does not divide into patches of {self.patch}",
+        )
+
+    @property
+    def columns(self) -> int:
+        """Patches along each side of a map."""
+        return self.map_size // self.patch
+
+    @property
+    def patches(self) -> int:
+        """Patches of a whole map."""
+        return self.columns**2
+
+    def fits(self, config: MapConfig) -> bool:
+        """Whether the network reads maps of this configuration."""
+        return self.map_size == config.size
+
+
+@dataclass(frozen=True)
+class NetworkConfig(_MapShape):
     """Shape of the Vision Transformer; the defaults are the paper's network.
 
     Attributes:
@@ -19,12 +61,10 @@ class NetworkConfig:
         depth: Encoder layers.
         heads: Attention heads.
         mlp: Hidden width of the encoder's and the output's MLPs.
-        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of a exploration noise.
+        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of an exploration noise.
         attention: ``occupied`` computes only the patches that hold something; ``all`` is the paper's own variant.
     """
 
-    map_size: int = 100
-    patch: int = 10
     dim: int = 256
     depth: int = 3
     heads: int = 8
@@ -33,11 +73,7 @@ class NetworkConfig:
     attention: Literal["occupied", "all"] = "occupied"
 
     def __post_init__(self) -> None:
-        _check_positive(self, "map_size", "patch", "dim", "depth", "heads", "mlp", "outputs")
-        require(
-            self.map_size % self.patch == 0,
-            f"a map of {self.map_size} cells does not divide into patches of {self.patch}",
-        )
+        super().__post_init__()
         require(self.dim % self.heads == 0, f"dim {self.dim} does not divide into {self.heads} heads")
         require(
             self.attention in ("occupied", "all"),
@@ -45,22 +81,13 @@ class NetworkConfig:
         )
 
     @property
-    def patches(self) -> int:
-        """Patches of a whole map."""
-        return (self.map_size // self.patch) ** 2
-
-    @property
     def token_width(self) -> int:
         """Numbers that describe a patch in the end."""
         return self.dim
 
-    def fits(self, config: MapConfig) -> bool:
-        """Whether the network reads maps of this configuration."""
-        return self.map_size == config.size
-
 
 @dataclass(frozen=True)
-class CnnConfig:
+class CnnConfig(_MapShape):
     """Shape of a convolutional network on the same maps as the Vision Transformer's.
 
     Two strided convolutions make one cell of a grid of every patch, ``depth`` residual ones mix the cells, and an MLP
@@ -75,11 +102,9 @@ class CnnConfig:
         squeeze: Channels of the grid that the map's features are read from.
         dim: Features of a map.
         mlp: Hidden width of the output's MLP.
-        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of a exploration noise.
+        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of an exploration noise.
     """
 
-    map_size: int = 100
-    patch: int = 10
     stem: int = 32
     channels: int = 48
     depth: int = 3
@@ -89,11 +114,7 @@ class CnnConfig:
     outputs: int = 4
 
     def __post_init__(self) -> None:
-        _check_positive(self, "map_size", "patch", "stem", "channels", "depth", "squeeze", "dim", "mlp", "outputs")
-        require(
-            self.map_size % self.patch == 0,
-            f"a map of {self.map_size} cells does not divide into patches of {self.patch}",
-        )
+        super().__post_init__()
         require(self.patch % 2 == 0, f"patch is {self.patch}; it must be even, because it is halved once")
 
     @property
@@ -102,27 +123,13 @@ class CnnConfig:
         return "occupied"
 
     @property
-    def columns(self) -> int:
-        """Cells along each side of the grid."""
-        return self.map_size // self.patch
-
-    @property
-    def patches(self) -> int:
-        """Patches of a whole map."""
-        return self.columns**2
-
-    @property
     def token_width(self) -> int:
         """Numbers that describe a patch in the end."""
         return self.channels
 
-    def fits(self, config: MapConfig) -> bool:
-        """Whether the network reads maps of this configuration."""
-        return self.map_size == config.size
-
 
 @dataclass(frozen=True)
-class GnnConfig:
+class GnnConfig(_Shape):
     """Shape of a graph network whose robots talk to each other.
 
     It knows more than a robot with a LiDAR: true positions and headings of all within ``reach``, also behind others,
@@ -132,7 +139,7 @@ class GnnConfig:
         dim: Numbers that a robot sends, and that describe an edge.
         rounds: Rounds of messages.
         mlp: Hidden width of all MLPs.
-        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of a exploration noise.
+        outputs: Numbers per command: u_x, u_y, omega and, where learned, the amplitude of an exploration noise.
         reach: Robots within this distance hear each other [d*]; 2.1 is how far a LiDAR of 2 d* shows centres of robots.
     """
 
@@ -143,17 +150,13 @@ class GnnConfig:
     reach: float = 2.1
 
     def __post_init__(self) -> None:
-        _check_positive(self, "dim", "rounds", "mlp", "outputs")
+        super().__post_init__()
         require(0 < self.reach < float("inf"), f"reach is {self.reach} d*; it must be positive and finite")
 
     @property
     def token_width(self) -> int:
         """Numbers that describe an edge in the end."""
         return self.dim
-
-    def fits(self, _config: MapConfig) -> bool:
-        """Whether the network can stand beside maps of this configuration; it reads none."""
-        return True
 
 
 #: Networks that read occupancy maps.
@@ -180,10 +183,7 @@ def read_network(described: dict[str, Any]) -> Network:
         TypeError: If it is no description.
     """
     values = dict(described)
-    kind = values.pop("kind", "vit")
-    if kind not in _KINDS:
-        raise ConfigurationError(f"there is no network of kind {kind!r}; there are {', '.join(_KINDS)}")
-    return _KINDS[kind](**values)
+    return choose("network of kind", values.pop("kind", "vit"), _KINDS)(**values)
 
 
 def map_network(network: Network) -> MapNetwork:
@@ -206,9 +206,3 @@ def vit_network(network: Network) -> NetworkConfig:
     if not isinstance(network, NetworkConfig):
         raise ConfigurationError("a Vision Transformer is needed, and this network is of another kind")
     return network
-
-
-def _check_positive(config: Network, *names: str) -> None:
-    for name in names:
-        value = getattr(config, name)
-        require(value >= 1, f"network {name} is {value}; it must be at least 1")

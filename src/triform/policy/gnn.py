@@ -74,8 +74,7 @@ class GraphNetwork(PolicyNetwork):
         self.start = nn.Parameter(torch.zeros(config.dim))
         self.embed = nn.Sequential(nn.Linear(EDGE_FEATURES, config.mlp), nn.GELU(), nn.Linear(config.mlp, config.dim))
         self.rounds = nn.ModuleList(Round(config) for _ in range(config.rounds))
-        self.norm = nn.LayerNorm(config.dim)
-        self.head = nn.Sequential(nn.Linear(config.dim, config.mlp), nn.GELU(), nn.Linear(config.mlp, config.outputs))
+        self.add_head(config)
 
     def encode(self, teams: TeamBatch) -> tuple[Tensor, Tensor]:
         """Features of edges (E, D) and of robots (M, D)."""
@@ -83,8 +82,3 @@ class GraphNetwork(PolicyNetwork):
         for each in self.rounds:
             robots, edges = each(robots, edges, teams)
         return edges, robots
-
-    def command(self, features: Tensor) -> Tensor:
-        """Commands (M, outputs) from features of robots (M, D)."""
-        out: Tensor = self.head(self.norm(features))
-        return out

@@ -6,7 +6,7 @@ It reads the edges of any number of teams at once; the function is that of ``gnn
 from __future__ import annotations
 
 import numpy as np
-from onnx import TensorProto, helper
+from onnx import TensorProto
 
 from triform.policy.config import GnnConfig
 from triform.policy.graph import Graph
@@ -31,24 +31,12 @@ def _round(graph: Graph, name: str, robots: str, edges: str, shape: str, config:
     return str(graph.op("Add", robots, graph.linear(f"{name}.contract", hidden, mlp, dim))), str(edges)
 
 
-def build_gnn_graph(config: GnnConfig, weights: bytes, file_name: str) -> bytes:
-    """Write the network as an ONNX model whose weights stand in a safetensors file beside it.
+def build_gnn_graph(graph: Graph, config: GnnConfig) -> bytes:
+    """Finish ``graph`` as the network of shape ``config``; see ``kinds.write_graph``.
 
     Inputs are those of ``RadiusGraph``: ``features``, float32 (E, EDGE_FEATURES), ``receivers`` and ``senders``, int64
     (E,), and ``robots``, int64 (1,); the output ``commands`` is float32 (M, outputs).
-
-    Args:
-        config: Shape of the network.
-        weights: Content of the safetensors file.
-        file_name: Name of that file, which must lie in the model's folder.
-
-    Returns:
-        The serialised model.
-
-    Raises:
-        TriformError: If the weights are not those of such a network.
     """
-    graph = Graph(weights, file_name)
     dim, mlp = config.dim, config.mlp
     shape = graph.op("Concat", "robots", graph.constant("dim", [dim]), axis=0)
     robots = graph.op("Expand", graph.weight("start", dim), shape)
@@ -56,15 +44,11 @@ def build_gnn_graph(config: GnnConfig, weights: bytes, file_name: str) -> bytes:
     edges = graph.linear("embed.2", hidden, mlp, dim)
     for number in range(config.rounds):
         robots, edges = _round(graph, f"rounds.{number}", robots, edges, shape, config)
-    hidden = graph.linear("head.0", graph.norm("norm", robots, dim), dim, mlp)
-    answers = graph.linear("head.2", graph.op("Gelu", hidden), mlp, config.outputs)
-    graph.op("Identity", answers, name="commands")
-    return graph.model(
-        [
-            helper.make_tensor_value_info("features", TensorProto.FLOAT, ["edges", EDGE_FEATURES]),
-            helper.make_tensor_value_info("receivers", TensorProto.INT64, ["edges"]),
-            helper.make_tensor_value_info("senders", TensorProto.INT64, ["edges"]),
-            helper.make_tensor_value_info("robots", TensorProto.INT64, [1]),
-        ],
-        [helper.make_tensor_value_info("commands", TensorProto.FLOAT, ["robots", config.outputs])],
-    )
+    graph.op("Identity", graph.head(robots, config), name="commands")
+    inputs = {
+        "features": (TensorProto.FLOAT, ["edges", EDGE_FEATURES]),
+        "receivers": (TensorProto.INT64, ["edges"]),
+        "senders": (TensorProto.INT64, ["edges"]),
+        "robots": (TensorProto.INT64, [1]),
+    }
+    return graph.model(inputs, "robots", config.outputs)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from triform.policy.checkpoint import ONNX_FILE
 from triform.policy.config import GnnConfig
 from triform.policy.radius_graph import EDGE_FEATURES, RadiusGraph
 from triform.policy.runtime import StoredPolicy
-from triform.types import ConfigurationError, FloatArray, TriformError, require
+from triform.types import ConfigurationError, FloatArray, require
 
 
 class GnnRuntime(StoredPolicy):
@@ -28,25 +26,18 @@ class GnnRuntime(StoredPolicy):
             TriformError: If the folder holds no exported policy, it cannot be loaded, or it is no graph network.
         """
         super().__init__(folder, threads)
+        self._load(self.network.outputs, "features", EDGE_FEATURES)
+
+    @property
+    def network(self) -> GnnConfig:
+        """Shape of the network.
+
+        Raises:
+            ConfigurationError: If it is of another kind.
+        """
         if not isinstance(self.spec.network, GnnConfig):
-            raise ConfigurationError(f"the policy in {folder} reads occupancy maps; a graph network is needed")
-        self.network: GnnConfig = self.spec.network
-        self._load()
-        inputs = {each.name: each.shape for each in self._session.get_inputs()}
-        outputs = self._session.get_outputs()[0].shape[-1]
-        found = inputs.get("features", [None])[-1]
-        if (found, outputs) != (EDGE_FEATURES, self.network.outputs):
-            raise TriformError(
-                f"{folder / ONNX_FILE} reads edges of {found} numbers and gives {outputs}; its description says "
-                f"{EDGE_FEATURES} and {self.network.outputs}"
-            )
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "network": self.network}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)
-        self.network = state["network"]
+            raise ConfigurationError(f"the policy in {self.folder} reads occupancy maps; a graph network is needed")
+        return self.spec.network
 
     def commands(self, teams: RadiusGraph) -> FloatArray:
         """What all M robots of some teams are to do, shape (M, outputs), in units of d*.

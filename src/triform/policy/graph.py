@@ -23,7 +23,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 from onnx.external_data_helper import set_external_data
 
-from triform.policy.config import NetworkConfig
+from triform.policy.config import Network, NetworkConfig
 from triform.types import TriformError
 
 #: Of ONNX's operators; the first with ``Attention``.
@@ -85,14 +85,27 @@ class Graph:
         scale, bias = self.weight(f"{name}.weight", dim), self.weight(f"{name}.bias", dim)
         return str(self.op("LayerNormalization", x, scale, bias, axis=-1, epsilon=_EPSILON))
 
+    def head(self, x: str, config: Network) -> str:
+        """The layers of ``PolicyNetwork.command``: features (rows, D) to commands (rows, outputs)."""
+        hidden = self.linear("head.0", self.norm("norm", x, config.dim), config.dim, config.mlp)
+        return self.linear("head.2", self.op("Gelu", hidden), config.mlp, config.outputs)
+
     def reshape(self, x: str, *shape: int) -> str:
         """Give ``x`` a shape known now."""
         return str(self.op("Reshape", x, self.constant(f"shape_{'_'.join(map(str, shape))}", np.array(shape))))
 
-    def model(self, inputs: list[onnx.ValueInfoProto], outputs: list[onnx.ValueInfoProto]) -> bytes:
-        """Finish: the graph as a serialised model."""
+    def model(self, inputs: dict[str, tuple[Any, Any]], rows: str, outputs: int) -> bytes:
+        """Finish: the graph as a serialised model.
+
+        Args:
+            inputs: Element type and shape of every input by name.
+            rows: What a row of its output ``commands`` belongs to.
+            outputs: Numbers per command.
+        """
+        given = [helper.make_tensor_value_info(name, kind, shape) for name, (kind, shape) in inputs.items()]
+        commands = helper.make_tensor_value_info("commands", TensorProto.FLOAT, [rows, outputs])
         model = helper.make_model(
-            helper.make_graph(self.nodes, "triform policy", inputs, outputs, list(self.tensors.values())),
+            helper.make_graph(self.nodes, "triform policy", given, [commands], list(self.tensors.values())),
             opset_imports=[helper.make_opsetid("", OPSET)],
             ir_version=_IR_VERSION,
             producer_name="triform",
@@ -169,37 +182,21 @@ def _read_out(graph: Graph, name: str, x: str, config: NetworkConfig, maps: str)
     return graph.mlp(name, graph.op("Add", x, graph.linear(f"{name}.project", biased, dim, dim)), config)
 
 
-def build_graph(config: NetworkConfig, weights: bytes, file_name: str) -> bytes:
-    """Write the network as an ONNX model whose weights stand in a safetensors file beside it.
+def build_graph(graph: Graph, config: NetworkConfig) -> bytes:
+    """Finish ``graph`` as the network of shape ``config``; see ``kinds.write_graph``.
 
     Inputs are ``patches``, float32 (M, L, patch * patch), and ``positions``, int64 (M, L), of M maps with L - 1
     patches each behind the class token's empty patch at position ``config.patches``; the output ``commands`` is
     float32 (M, outputs).
-
-    Args:
-        config: Shape of the network.
-        weights: Content of the safetensors file.
-        file_name: Name of that file, which must lie in the model's folder.
-
-    Returns:
-        The serialised model.
-
-    Raises:
-        TriformError: If the weights are not those of such a network.
     """
-    graph = Graph(weights, file_name)
     maps = graph.op("Shape", "positions", end=1)
     x = _embed(graph, config)
     for layer in range(config.depth - 1):
         x = _layer(graph, f"blocks.{layer}", x, config, maps)
     x = _read_out(graph, f"blocks.{config.depth - 1}", x, config, maps)
-    hidden = graph.linear("head.0", graph.norm("norm", x, config.dim), config.dim, config.mlp)
-    commands = graph.linear("head.2", graph.op("Gelu", hidden), config.mlp, config.outputs)
-    graph.op("Identity", commands, name="commands")
-    return graph.model(
-        [
-            helper.make_tensor_value_info("patches", TensorProto.FLOAT, ["maps", "slots", config.patch**2]),
-            helper.make_tensor_value_info("positions", TensorProto.INT64, ["maps", "slots"]),
-        ],
-        [helper.make_tensor_value_info("commands", TensorProto.FLOAT, ["maps", config.outputs])],
-    )
+    graph.op("Identity", graph.head(x, config), name="commands")
+    inputs = {
+        "patches": (TensorProto.FLOAT, ["maps", "slots", config.patch**2]),
+        "positions": (TensorProto.INT64, ["maps", "slots"]),
+    }
+    return graph.model(inputs, "maps", config.outputs)

@@ -8,23 +8,27 @@ import torch
 
 from triform.policy.cnn import ConvolutionalNetwork
 from triform.policy.cnn_graph import build_cnn_graph
-from triform.policy.config import CnnConfig, GnnConfig, Network
+from triform.policy.config import CnnConfig, GnnConfig, Network, NetworkConfig
 from triform.policy.gnn import GraphNetwork, team_batch
 from triform.policy.gnn_graph import build_gnn_graph
-from triform.policy.graph import build_graph
+from triform.policy.graph import Graph, build_graph
 from triform.policy.network import PolicyNetwork
 from triform.policy.packing import PackedMaps
 from triform.policy.radius_graph import RadiusGraph
 from triform.policy.vit import VisionTransformer, token_batch
 
+#: The network of every kind of shape, and what writes its graph.
+_KINDS: dict[type[Network], tuple[Any, Any]] = {
+    NetworkConfig: (VisionTransformer, build_graph),
+    CnnConfig: (ConvolutionalNetwork, build_cnn_graph),
+    GnnConfig: (GraphNetwork, build_gnn_graph),
+}
+
 
 def make_network(config: Network) -> PolicyNetwork:
     """A network of this kind and shape with random weights."""
-    if isinstance(config, CnnConfig):
-        return ConvolutionalNetwork(config)
-    if isinstance(config, GnnConfig):
-        return GraphNetwork(config)
-    return VisionTransformer(config)
+    network: PolicyNetwork = _KINDS[type(config)][0](config)
+    return network
 
 
 def network_inputs(given: PackedMaps | RadiusGraph, device: torch.device | str = "cpu") -> Any:
@@ -33,13 +37,18 @@ def network_inputs(given: PackedMaps | RadiusGraph, device: torch.device | str =
 
 
 def write_graph(config: Network, weights: bytes, file_name: str) -> bytes:
-    """Write a network as an ONNX model, see ``build_graph``.
+    """Write a network as an ONNX model whose weights stand in a safetensors file beside it.
+
+    Args:
+        config: Shape of the network.
+        weights: Content of the safetensors file.
+        file_name: Name of that file, which must lie in the model's folder.
+
+    Returns:
+        The serialised model.
 
     Raises:
         TriformError: If the weights are not those of such a network.
     """
-    if isinstance(config, CnnConfig):
-        return build_cnn_graph(config, weights, file_name)
-    if isinstance(config, GnnConfig):
-        return build_gnn_graph(config, weights, file_name)
-    return build_graph(config, weights, file_name)
+    graph: bytes = _KINDS[type(config)][1](Graph(weights, file_name), config)
+    return graph

@@ -9,6 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from triform.policy.config import Network
+
 
 class PolicyNetwork(ABC, nn.Module):
     """Computes the commands of M robots from whatever its kind of network reads.
@@ -21,9 +23,15 @@ class PolicyNetwork(ABC, nn.Module):
     def encode(self, inputs: Any) -> tuple[Tensor, Tensor]:
         """Features of tokens (K, ``config.token_width``) and of robots (M, ``config.dim``)."""
 
-    @abstractmethod
+    def add_head(self, config: Network) -> None:
+        """Add the layers that ``command`` computes, behind those that came before."""
+        self.norm = nn.LayerNorm(config.dim)
+        self.head = nn.Sequential(nn.Linear(config.dim, config.mlp), nn.GELU(), nn.Linear(config.mlp, config.outputs))
+
     def command(self, features: Tensor) -> Tensor:
         """Commands (M, outputs) from features of robots (M, ``config.dim``)."""
+        out: Tensor = self.head(self.norm(features))
+        return out
 
     def forward(self, inputs: Any) -> Tensor:
         """Commands (M, outputs)."""

@@ -142,16 +142,23 @@ class StoredPolicy:
         self.threads = threads
         self.spec: PolicySpec = read_spec(folder)
 
-    def _load(self) -> None:
-        """Load the exported graph, checked against the description.
+    def _load(self, outputs: int, name: str, width: int) -> None:
+        """Load the exported graph, whose input ``name`` has ``width`` numbers and whose commands have ``outputs``.
 
         Raises:
-            TriformError: If the folder holds no exported policy, or it cannot be loaded.
+            TriformError: If the folder holds no exported policy, it cannot be loaded, or it is of another shape.
         """
         require(self.threads >= 1, f"threads is {self.threads}; it must be at least 1")
         self._weights = read_weights(self.folder, self.spec)
         self._graph = read_graph(self.folder, self.spec)
         self._open_session(self.folder / ONNX_FILE)
+        inputs = {each.name: each.shape for each in self._session.get_inputs()}
+        found = inputs.get(name, [None])[-1], self._session.get_outputs()[0].shape[-1]
+        if found != (width, outputs):
+            raise TriformError(
+                f"{self.folder / ONNX_FILE} reads {name} of width {found[0]} and gives {found[1]} numbers; its "
+                f"description says {width} and {outputs}"
+            )
 
     def _open_session(self, path: Path) -> None:
         options = onnxruntime.SessionOptions()
@@ -195,23 +202,14 @@ class PolicyRuntime(StoredPolicy):
             TriformError: If the folder holds no exported policy, it cannot be loaded, or it reads no maps.
         """
         super().__init__(folder, threads)
-        self._network = network = map_network(self.spec.network)
-        self._load()
-        inputs = {each.name: each.shape for each in self._session.get_inputs()}
-        outputs = self._session.get_outputs()[0].shape[-1]
+        network = map_network(self.spec.network)
         name, cells = ("maps", network.map_size) if isinstance(network, CnnConfig) else ("patches", network.patch**2)
-        found = inputs.get(name, [None])[-1]
-        if (found, outputs) != (cells, network.outputs):
-            raise TriformError(
-                f"{folder / ONNX_FILE} reads {name} of {found} cells and gives {outputs} numbers; its description "
-                f"says {cells} and {network.outputs}"
-            )
-        self._workspace = _Workspace(network.patches, network.patch**2)
+        self._load(network.outputs, name, cells)
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)
-        self._network = map_network(self.spec.network)
-        self._workspace = _Workspace(self._network.patches, self._network.patch**2)
+    def _open_session(self, path: Path) -> None:
+        super()._open_session(path)
+        self._network = network = map_network(self.spec.network)
+        self._workspace = _Workspace(network.patches, network.patch**2)
 
     def commands(self, packed: PackedMaps) -> FloatArray:
         """Body twists (M, 3) [m/s, m/s, rad/s] of M maps.

@@ -99,8 +99,7 @@ class VisionTransformer(PolicyNetwork):
         self.position = nn.Parameter(torch.empty(config.patches + 1, config.dim))
         self.class_token = nn.Parameter(torch.zeros(config.dim))
         self.blocks = nn.ModuleList(Block(config) for _ in range(config.depth))
-        self.norm = nn.LayerNorm(config.dim)
-        self.head = nn.Sequential(nn.Linear(config.dim, config.mlp), nn.GELU(), nn.Linear(config.mlp, config.outputs))
+        self.add_head(config)
         nn.init.normal_(self.position, std=0.02)
 
     def encode(self, tokens: TokenBatch) -> tuple[Tensor, Tensor]:
@@ -112,8 +111,3 @@ class VisionTransformer(PolicyNetwork):
         for block in self.blocks[:-1]:
             x = block(x, rows)
         return x[: patches.shape[0]], cast(Block, self.blocks[-1]).read_out(x, rows)
-
-    def command(self, features: Tensor) -> Tensor:
-        """Commands (M, outputs) from encoded class tokens (M, D)."""
-        out: Tensor = self.head(self.norm(features))
-        return out

@@ -1,4 +1,4 @@
-"""Scans of any LiDAR that speaks ``sensor_msgs/LaserScan``, brought onto the fixed grid of a ``ScanConfig``."""
+"""Turns of LiDARs, and scans of any that speaks ``sensor_msgs/LaserScan``, brought onto a fixed grid."""
 
 from __future__ import annotations
 
@@ -11,6 +11,21 @@ from triform.types import RangeArray, ScanConfig, require
 
 #: Share of a ray by which angles may be off: they come as float32, and a turn has many rays.
 _SLACK = 0.01
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One turn of a LiDAR, on a fixed grid of rays.
+
+    Attributes:
+        ranges: Ranges [m], float32, shape (R,); REP 117 for what is no range.
+        started: When the first ray was measured, by the host's monotonic clock [s].
+        ended: When the last ray was measured, by the same clock [s].
+    """
+
+    ranges: RangeArray
+    started: float
+    ended: float
 
 
 @dataclass(frozen=True)

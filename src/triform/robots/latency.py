@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from triform.robots.ldrobot import Turn
+from triform.robots.laser_scan import Turn
 from triform.robots.real import Step
 
 #: Parts of the way from a finished scan to the wheels, and what each is.

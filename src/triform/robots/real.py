@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from triform.robots.ldrobot.turns import Turn
+from triform.robots.laser_scan import Turn
 from triform.simulation import Drive, limit_twists
 from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
 from triform.simulation.odometry import relative_poses, resting_poses

@@ -15,7 +15,7 @@ import onnxruntime
 
 from triform.files import cannot_write, make_folder, write_atomically
 from triform.geometry.frames import body_to_world, wrap_angle
-from triform.robots.ldrobot import Turn
+from triform.robots.laser_scan import Turn
 from triform.robots.real import Step
 from triform.simulation.odometry import relative_poses
 from triform.types import FloatArray, TriformError

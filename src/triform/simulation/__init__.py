@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from triform.simulation.arena import ARENAS, Arena, get_arena
 from triform.simulation.arena_file import arena_toml
-from triform.simulation.kinematics import (
-    advance_pose,
-    integrate,
-    limit_twists,
-    steer,
-    twist_from_wheels,
-    wheel_speeds,
-)
+from triform.simulation.kinematics import integrate, limit_twists, steer
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
 from triform.simulation.profile_file import profile_toml
 from triform.simulation.profiles import (
@@ -30,7 +23,7 @@ from triform.simulation.profiles import (
 )
 from triform.simulation.simulated import SimulatedTeam
 from triform.simulation.spawn_kernels import is_connected
-from triform.simulation.spawning import load_starts, sample_addition, sample_starts, square_side, world_seeds
+from triform.simulation.spawning import load_starts, sample_addition, sample_starts, world_seeds
 from triform.simulation.world import World, make_world
 
 __all__ = [
@@ -48,7 +41,6 @@ __all__ = [
     "Profile",
     "SimulatedTeam",
     "World",
-    "advance_pose",
     "angle_offsets",
     "apply_noise",
     "arena_toml",
@@ -67,9 +59,6 @@ __all__ = [
     "profile_toml",
     "sample_addition",
     "sample_starts",
-    "square_side",
     "steer",
-    "twist_from_wheels",
-    "wheel_speeds",
     "world_seeds",
 ]

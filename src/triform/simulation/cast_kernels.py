@@ -13,22 +13,7 @@ from triform.simulation.ray_kernels import body_reach, see_box, see_circle, see_
 
 
 @kernel(inline="always")
-def _see_robot(
-    i: int,
-    j: int,
-    poses: Any,
-    axes: Any,
-    half_length: float,
-    half_width: float,
-    is_circle: bool,
-    limit: float,
-    angle_min: float,
-    range_min: float,
-    range_max: float,
-    cos_rays: Any,
-    sin_rays: Any,
-    row: Any,
-) -> None:
+def _see_robot(i: int, j: int, poses: Any, axes: Any, body: Any, limit: float, scan: Any, row: Any) -> None:
     """Cast the scan of robot i at robot j unless it is farther than ``limit`` [m^2]."""
     dx = poses[j, 0] - poses[i, 0]
     dy = poses[j, 1] - poses[i, 1]
@@ -36,71 +21,27 @@ def _see_robot(
         return
     cos, sin = axes[i, 0], axes[i, 1]
     x, y = cos * dx + sin * dy, cos * dy - sin * dx
-    if is_circle:
-        see_circle(x, y, half_length, angle_min, range_min, range_max, cos_rays, sin_rays, row)
+    if body.is_circle:
+        see_circle(x, y, body.half_length, scan, row)
     else:
         turned_cos = axes[j, 0] * cos + axes[j, 1] * sin
         turned_sin = axes[j, 1] * cos - axes[j, 0] * sin
-        see_box(
-            x,
-            y,
-            turned_cos,
-            turned_sin,
-            half_length,
-            half_width,
-            angle_min,
-            range_min,
-            range_max,
-            cos_rays,
-            sin_rays,
-            row,
-        )
+        see_box(x, y, turned_cos, turned_sin, body, scan, row)
 
 
 @kernel
-def _see_arena(
-    i: int,
-    poses: Any,
-    axes: Any,
-    walls: Any,
-    pillars: Any,
-    angle_min: float,
-    range_min: float,
-    range_max: float,
-    cos_rays: Any,
-    sin_rays: Any,
-    row: Any,
-) -> None:
+def _see_arena(i: int, poses: Any, axes: Any, walls: Any, pillars: Any, scan: Any, row: Any) -> None:
     """Cast the scan of robot i at walls and pillars."""
     cos, sin = axes[i, 0], axes[i, 1]
     for w in range(walls.shape[0]):
         x1, y1 = walls[w, 0] - poses[i, 0], walls[w, 1] - poses[i, 1]
         x2, y2 = walls[w, 2] - poses[i, 0], walls[w, 3] - poses[i, 1]
         see_wall(
-            cos * x1 + sin * y1,
-            cos * y1 - sin * x1,
-            cos * x2 + sin * y2,
-            cos * y2 - sin * x2,
-            angle_min,
-            range_min,
-            range_max,
-            cos_rays,
-            sin_rays,
-            row,
-        )
+            cos * x1 + sin * y1, cos * y1 - sin * x1, cos * x2 + sin * y2, cos * y2 - sin * x2, scan, row
+        )  # fmt: skip
     for p in range(pillars.shape[0]):
         dx, dy = pillars[p, 0] - poses[i, 0], pillars[p, 1] - poses[i, 1]
-        see_circle(
-            cos * dx + sin * dy,
-            cos * dy - sin * dx,
-            pillars[p, 2],
-            angle_min,
-            range_min,
-            range_max,
-            cos_rays,
-            sin_rays,
-            row,
-        )
+        see_circle(cos * dx + sin * dy, cos * dy - sin * dx, pillars[p, 2], scan, row)
 
 
 @kernel
@@ -118,18 +59,13 @@ def cast_robot(i: int, poses: Any, active: Any, scene: Any, scan: Any, axes: Any
     ``axes`` must be those of ``find_axes``.
     """
     body, walls, pillars = scene
-    half_length, half_width, is_circle = body
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
-    limit = (range_max + body_reach(body)) ** 2
+    limit = (scan.range_max + body_reach(body)) ** 2
     row[:] = math.inf
     for j in range(active.shape[0]):
         if j != i and active[j]:
-            _see_robot(
-                i, j, poses, axes, half_length, half_width, is_circle, limit,
-                angle_min, range_min, range_max, cos_rays, sin_rays, row,
-            )  # fmt: skip
+            _see_robot(i, j, poses, axes, body, limit, scan, row)
     if walls.shape[0] + pillars.shape[0] > 0:
-        _see_arena(i, poses, axes, walls, pillars, angle_min, range_min, range_max, cos_rays, sin_rays, row)
+        _see_arena(i, poses, axes, walls, pillars, scan, row)
 
 
 @kernel
@@ -161,9 +97,7 @@ def cast_cells(world: Any, cells: Any, poses: Any, axes: Any, scene: Any, scan: 
     """
     robots, _, parts, _ = world
     body, walls, pillars = scene
-    half_length, half_width, is_circle = body
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
-    limit = (range_max + body_reach(body)) ** 2
+    limit = (scan.range_max + body_reach(body)) ** 2
     stack, near = np.empty(SEARCH_DEPTH, dtype=np.int64), np.empty(robots.shape[0], dtype=np.int64)
     for cell in cells:
         number = find_near(world, cell, limit, stack, near)
@@ -172,14 +106,9 @@ def cast_cells(world: Any, cells: Any, poses: Any, axes: Any, scene: Any, scan: 
             row[:] = math.inf
             for k in range(number):
                 if near[k] != own:
-                    _see_robot(
-                        own, near[k], poses, axes, half_length, half_width, is_circle, limit,
-                        angle_min, range_min, range_max, cos_rays, sin_rays, row,
-                    )  # fmt: skip
+                    _see_robot(own, near[k], poses, axes, body, limit, scan, row)
             if walls.shape[0] + pillars.shape[0] > 0:
-                _see_arena(
-                    own, poses, axes, walls, pillars, angle_min, range_min, range_max, cos_rays, sin_rays, row
-                )  # fmt: skip
+                _see_arena(own, poses, axes, walls, pillars, scan, row)
 
 
 @kernel

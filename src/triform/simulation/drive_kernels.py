@@ -34,11 +34,7 @@ def advance_pose(
     chord = duration if half == 0.0 else duration * math.sin(half) / half
     cos = math.cos(heading + half)
     sin = math.sin(heading + half)
-    return (
-        x + chord * (cos * ux - sin * uy),
-        y + chord * (sin * ux + cos * uy),
-        wrap(heading + 2 * half),
-    )
+    return x + chord * (cos * ux - sin * uy), y + chord * (sin * ux + cos * uy), wrap(heading + 2 * half)
 
 
 @kernel
@@ -116,14 +112,10 @@ def drive_team(poses: Any, velocities: Any, targets: Any, active: Any, limits: A
         gap_turn = velocities[i, 2] - targets[i, 2]
         left, mean = approach(math.sqrt(gap_x * gap_x + gap_y * gap_y), limit, lag, duration)
         left_turn, mean_turn = approach(abs(gap_turn), turn_limit, lag, duration)
+        u_x, u_y = targets[i, 0] + mean * gap_x, targets[i, 1] + mean * gap_y
+        omega = targets[i, 2] + mean_turn * gap_turn
         poses[i, 0], poses[i, 1], poses[i, 2] = advance_pose(
-            poses[i, 0],
-            poses[i, 1],
-            poses[i, 2],
-            targets[i, 0] + mean * gap_x,
-            targets[i, 1] + mean * gap_y,
-            targets[i, 2] + mean_turn * gap_turn,
-            duration,
+            poses[i, 0], poses[i, 1], poses[i, 2], u_x, u_y, omega, duration
         )
         velocities[i, 0] = targets[i, 0] + left * gap_x
         velocities[i, 1] = targets[i, 1] + left * gap_y

@@ -1,4 +1,4 @@
-"""Kinematics of an omnidirectional base (Eq. 1-2): wheels, limits, lag and motion.
+"""Kinematics of an omnidirectional base (Eq. 1-2): limits, lag and motion.
 
 The base steers its body twist ``v`` to the limited command ``u`` by ``v' = (u - v) / lag`` with ``|v'|``
 bounded, and moves by ``p' = R(heading) v``. Commands, limits and lag act in the body frame.
@@ -13,57 +13,8 @@ from triform.simulation.drive_kernels import advance_pose, drive_team, limit_twi
 from triform.simulation.profiles import Drive
 from triform.types import FloatArray, require
 
-__all__ = [
-    "HALF_AXES",
-    "WHEEL_RADIUS",
-    "advance_pose",
-    "drive_limits",
-    "integrate",
-    "limit_twists",
-    "steer",
-    "twist_from_wheels",
-    "wheel_speeds",
-]
-
-#: RoboMaster EP: sum of half the wheelbase and half the track [m].
-HALF_AXES = 0.20
-#: RoboMaster EP: divides the rim speeds of ``wheel_speeds`` into wheel rates [m].
+#: Radius of a RoboMaster EP's wheels [m].
 WHEEL_RADIUS = 0.05
-
-
-def wheel_speeds(twists: FloatArray, half_axes: float = HALF_AXES) -> FloatArray:
-    """Return the rim speeds of four mecanum wheels that make ``twists``.
-
-    Args:
-        twists: Body twists (u_x, u_y, omega), shape (..., 3) [m/s, m/s, rad/s].
-        half_axes: Half the wheelbase plus half the track [m].
-
-    Returns:
-        Speeds of front left, front right, rear left, rear right, shape (..., 4) [m/s].
-    """
-    forward, left, turn = np.moveaxis(np.asarray(twists, dtype=np.float64), -1, 0)
-    lever = half_axes * turn
-    wheels = [forward - left - lever, forward + left + lever, forward + left - lever, forward - left + lever]
-    return np.stack(wheels, axis=-1)
-
-
-def twist_from_wheels(speeds: FloatArray, half_axes: float = HALF_AXES) -> FloatArray:
-    """Return the body twists that rim speeds (FL, FR, RL, RR), shape (..., 4) [m/s], make.
-
-    Four wheels and three degrees of freedom: speeds that no twist makes are met in least squares (the wheels slip).
-
-    Returns:
-        Body twists (u_x, u_y, omega), shape (..., 3) [m/s, m/s, rad/s].
-    """
-    front_left, front_right, rear_left, rear_right = np.moveaxis(np.asarray(speeds, dtype=np.float64), -1, 0)
-    return np.stack(
-        [
-            (front_left + front_right + rear_left + rear_right) / 4,
-            (-front_left + front_right + rear_left - rear_right) / 4,
-            (-front_left + front_right - rear_left + rear_right) / (4 * half_axes),
-        ],
-        axis=-1,
-    )
 
 
 @kernel

@@ -108,12 +108,11 @@ def list_near(poses: Any, active: Any, distance: float) -> tuple[Any, Any]:
 
 @kernel(inline="always")
 def _nearest_along(
-    i: int, dx: float, dy: float, places: Any, first: int, last: int, near: Any, around: float, body: Any,
-    walls: Any, pillars: Any,
-) -> float:  # fmt: skip
+    i: int, dx: float, dy: float, places: Any, first: int, last: int, near: Any, around: float, scene: Any
+) -> float:
     """Distance from robot ``i`` to the nearest obstacle in direction (dx, dy) [m]."""
     nearest = math.inf
-    half_length, half_width, is_circle = body
+    (half_length, half_width, is_circle), walls, pillars = scene
     x = places[i, 0]
     y = places[i, 1]
     for k in range(first, last):
@@ -138,15 +137,7 @@ def _nearest_along(
 
 @kernel
 def cast_moving(
-    start: Any,
-    end: Any,
-    active: Any,
-    near: Any,
-    scene: Any,
-    scan: Any,
-    offsets: Any,
-    due: Any,
-    out: Any,
+    start: Any, end: Any, active: Any, near: Any, scene: Any, scan: Any, offsets: Any, due: Any, out: Any
 ) -> None:
     """Cast rays ``due.first <= k < due.last`` of one world while its robots move from ``start`` to ``end``.
 
@@ -167,11 +158,10 @@ def cast_moving(
     robots = start.shape[0]
     increment = 2 * math.pi / out.shape[1]
     places = np.empty((robots, 5))
-    body, walls, pillars = scene
     angle_min, range_min, range_max = scan.angle_min, scan.range_min, scan.range_max
     first_ray, last_ray, first_share, share_step = due
     ends, others = near
-    around = body_reach(body)
+    around = body_reach(scene.body)
     for k in range(first_ray, last_ray):
         if k == first_ray or share_step != 0.0:
             share = min(max(first_share + (k - first_ray) * share_step, 0.0), 1.0)
@@ -192,7 +182,7 @@ def cast_moving(
             if offsets.shape[1] > 0:
                 angle += offsets[i, k]
             found = _nearest_along(
-                i, math.cos(angle), math.sin(angle), places, ends[i], ends[i + 1], others, around, body, walls, pillars
+                i, math.cos(angle), math.sin(angle), places, ends[i], ends[i + 1], others, around, scene
             )
             # As ``keep_nearest`` into an empty ray; rows of ``out`` are not taken, which costs in an inner loop.
             out[i, k] = math.inf if found > range_max else -math.inf if found < range_min else found
@@ -200,17 +190,9 @@ def cast_moving(
 
 @kernel
 def cast_moving_worlds(
-    start: Any,
-    end: Any,
-    active: Any,
-    scene: Any,
-    scan: Any,
-    offsets: Any,
-    share_step: float,
-    out: Any,
-    first: int,
-    last: int,
-) -> None:
+    start: Any, end: Any, active: Any, scene: Any, scan: Any, offsets: Any, share_step: float, out: Any,
+    first: int, last: int,
+) -> None:  # fmt: skip
     """``cast_moving`` of whole turns for the worlds ``first <= b < last``; ``out`` must come filled with ``+inf``."""
     for b in range(first, last):
         travel = 0.0

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 from triform.simulation.profiles import Drive, Footprint, LidarConfig, NoiseBand, Profile
 from triform.simulation.tables import TomlTable, quoted
 from triform.types import ConfigurationError, ScanConfig
-
-_LIMITS = tuple(each.name for each in fields(Drive))
 
 
 def read_profile(path: Path) -> Profile:
@@ -19,69 +20,59 @@ def read_profile(path: Path) -> Profile:
         ConfigurationError: The file cannot be read, or a key or value is not allowed; the sentence names both.
     """
     top = TomlTable.read(path)
-    ideal = Profile(path.stem)
-    top.known("name", "control_period", "latency", "time_step", "odometry", "footprint", "lidar", "drive")
-    footprint, lidar, drive = _footprint(top), _lidar(top.table("lidar")), _drive(top.table("drive"))
-    try:
+    with _refusing(top):
+        values = _values(top, Profile(path.stem), "footprint", "lidar", "drive")
+        footprint = Footprint.parse(top.text("footprint", "ep"))
         return Profile(
-            top.text("name", ideal.name),
-            footprint,
-            lidar,
-            drive,
-            top.number("control_period", ideal.control_period),
-            top.number("latency", ideal.latency),
-            top.number("time_step", ideal.time_step),
-            top.flag("odometry", ideal.odometry),
+            footprint=footprint, lidar=_lidar(top.table("lidar")), drive=_drive(top.table("drive")), **values
         )
-    except ConfigurationError as error:
-        raise (error if str(path) in str(error) else top.refused(error)) from None
-
-
-def _footprint(top: TomlTable) -> Footprint:
-    text = top.text("footprint", "ep")
-    try:
-        return Footprint.parse(text)
-    except ConfigurationError as error:
-        raise top.refused(error) from None
 
 
 def _lidar(table: TomlTable) -> LidarConfig:
-    scan, ideal = ScanConfig(), LidarConfig()
-    table.known("rays", "angle_min", "range_min", "range_max", "period", "rolling", "dropout", "angle_noise", "noise")
+    lidar, scan = LidarConfig(), ScanConfig()
     bands = []
     for band in table.tables("noise", "[{ up_to = inf, absolute = 0.01 }]"):
-        band.known("up_to", "absolute", "relative")
-        values = band.number("up_to", float("inf")), band.number("absolute", 0.0), band.number("relative", 0.0)
-        try:
-            bands.append(NoiseBand(*values))
-        except ConfigurationError as error:
-            raise band.refused(error) from None
-    shape = (
-        table.whole("rays", scan.rays),
-        table.number("angle_min", scan.angle_min),
-        table.number("range_min", scan.range_min),
-        table.number("range_max", scan.range_max),
-    )
-    rest = (
-        table.number("angle_noise", ideal.angle_noise),
-        table.number("dropout", ideal.dropout),
-        table.flag("rolling", ideal.rolling),
-        table.number("period", ideal.period),
-    )
-    try:
-        return LidarConfig(ScanConfig(*shape), tuple(bands), *rest)
-    except ConfigurationError as error:
-        raise table.refused(error) from None
+        with _refusing(band):
+            bands.append(NoiseBand(**_values(band, NoiseBand(float("inf")))))
+    shape = _values(table, scan, "noise", *_simple(lidar))
+    with _refusing(table):
+        return replace(lidar, scan=ScanConfig(**shape), noise=tuple(bands), **_values(table, lidar, "noise", *shape))
 
 
 def _drive(table: TomlTable) -> Drive:
-    ideal = Drive()
-    table.known(*_LIMITS)
-    values = {name: table.number(name, getattr(ideal, name)) for name in _LIMITS}
+    with _refusing(table):
+        return Drive(**_values(table, Drive()))
+
+
+def _simple(ideal: Any) -> dict[str, bool | float | str]:
+    """Return the fields of a configuration that are no tables, with their values."""
+    return {name: value for name, value in vars(ideal).items() if isinstance(value, bool | int | float | str)}
+
+
+def _values(table: TomlTable, ideal: Any, *others: str) -> dict[str, Any]:
+    """Take the simple fields of a configuration out of a table; those that it leaves out are ``ideal``'s.
+
+    Raises:
+        ConfigurationError: A value has another type, or there is a key that is neither a field nor one of ``others``.
+    """
+    simple = _simple(ideal)
+    table.known(*simple, *others)
+    take: dict[type, Callable[[str, Any], Any]] = {
+        bool: table.flag,
+        int: table.whole,
+        float: table.number,
+        str: table.text,
+    }
+    return {name: take[type(default)](name, default) for name, default in simple.items()}
+
+
+@contextmanager
+def _refusing(table: TomlTable) -> Iterator[None]:
+    """Name file and table in the error of values that do not go together."""
     try:
-        return Drive(**values)
+        yield
     except ConfigurationError as error:
-        raise table.refused(error) from None
+        raise (error if str(table.path) in str(error) else table.refused(error)) from None
 
 
 def profile_toml(profile: Profile) -> str:

@@ -12,7 +12,7 @@ segments without thickness, seen from both sides; one seen exactly end-on is not
 Obstacles come in the observer's frame, where the rays' directions are the same for everybody, and each is compared with
 the rays of its angular interval. ``moving_ray_kernels`` holds the other way, ray by ray.
 
-Inner loops take the members of ``ScanRays`` one by one, because tuples of arrays are slow to pass.
+The innermost loop takes the directions of the rays by themselves, so that it is vectorized.
 """
 
 from __future__ import annotations
@@ -95,19 +95,9 @@ def _ray_index(x: float, y: float, angle_min: float, rays: int) -> float:
 
 
 @kernel(error_model="numpy")
-def _sweep_edge(
-    first: int,
-    last: int,
-    numerator: float,
-    ex: float,
-    ey: float,
-    farthest: float,
-    range_min: float,
-    range_max: float,
-    cos_rays: Any,
-    sin_rays: Any,
-    row: Any,
-) -> None:
+def _sweep_edge(first: int, last: int, numerator: float, ex: float, ey: float, farthest: float,
+    range_min: float, range_max: float, cos_rays: Any, sin_rays: Any, row: Any,
+) -> None:  # fmt: skip
     """Compare an edge along (ex, ey) with the rays ``first <= k < last``; branchless, so that it is vectorized."""
     # Unsigned, because signed indices are checked for being counted from the end.
     for k in range(np.uint64(first), np.uint64(last)):
@@ -121,32 +111,12 @@ def _sweep_edge(
 
 @kernel(inline="always")
 def _see_edge(
-    x1: float,
-    y1: float,
-    start: float,
-    x2: float,
-    y2: float,
-    stop: float,
-    range_min: float,
-    range_max: float,
-    cos_rays: Any,
-    sin_rays: Any,
-    row: Any,
-) -> None:
-    """Cast at a segment whose ends are in counter-clockwise order around the observer.
+    x1: float, y1: float, start: float, x2: float, y2: float, stop: float,
+    range_min: float, range_max: float, cos_rays: Any, sin_rays: Any, row: Any,
+) -> None:  # fmt: skip
+    """Cast at a segment whose ends (x1, y1) and (x2, y2) are in counter-clockwise order around the observer [m].
 
-    Args:
-        x1: First end in the observer's frame [m].
-        y1: As ``x1``.
-        start: Its ``_ray_index``.
-        x2: Second end [m].
-        y2: As ``x2``.
-        stop: Its ``_ray_index``.
-        range_min: Of the scan, like the directions of the rays [m].
-        range_max: See ``range_min`` [m].
-        cos_rays: See ``range_min``.
-        sin_rays: See ``range_min``.
-        row: Ranges to lower, shape (R,).
+    ``start`` and ``stop`` are the ``_ray_index`` of the two ends.
     """
     rays = row.shape[0]
     ex = x2 - x1
@@ -169,18 +139,9 @@ def _see_edge(
 
 
 @kernel
-def see_circle(
-    x: float,
-    y: float,
-    radius: float,
-    angle_min: float,
-    range_min: float,
-    range_max: float,
-    cos_rays: Any,
-    sin_rays: Any,
-    row: Any,
-) -> None:
+def see_circle(x: float, y: float, radius: float, scan: Any, row: Any) -> None:
     """Cast at a circle whose centre is (x, y) in the observer's frame."""
+    angle_min, range_min, range_max, cos_rays, sin_rays = scan
     squared = x * x + y * y
     if squared <= radius * radius:
         _cover_all(range_min, range_max, row)
@@ -199,21 +160,10 @@ def see_circle(
 
 
 @kernel
-def see_box(
-    x: float,
-    y: float,
-    cos: float,
-    sin: float,
-    half_length: float,
-    half_width: float,
-    angle_min: float,
-    range_min: float,
-    range_max: float,
-    cos_rays: Any,
-    sin_rays: Any,
-    row: Any,
-) -> None:
+def see_box(x: float, y: float, cos: float, sin: float, body: Any, scan: Any, row: Any) -> None:
     """Cast at a box whose centre is (x, y) in the observer's frame and whose axes are turned by (cos, sin)."""
+    half_length, half_width, _ = body
+    angle_min, range_min, range_max, cos_rays, sin_rays = scan
     observer_x = -(x * cos + y * sin)
     observer_y = -(y * cos - x * sin)
     before = int(observer_x > half_length) - int(observer_x < -half_length)
@@ -244,19 +194,9 @@ def see_box(
 
 
 @kernel
-def see_wall(
-    x1: float,
-    y1: float,
-    x2: float,
-    y2: float,
-    angle_min: float,
-    range_min: float,
-    range_max: float,
-    cos_rays: Any,
-    sin_rays: Any,
-    row: Any,
-) -> None:
+def see_wall(x1: float, y1: float, x2: float, y2: float, scan: Any, row: Any) -> None:
     """Cast at a wall given by its ends in the observer's frame, in either order."""
+    angle_min, range_min, range_max, cos_rays, sin_rays = scan
     rays = row.shape[0]
     cross = x1 * y2 - y1 * x2
     if cross == 0.0:

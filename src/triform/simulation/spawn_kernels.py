@@ -7,45 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from triform.geometry.cells import SMALL_TEAM, pairs_within
+from triform.geometry.cells import pairs_within, squared_distance
 from triform.kernels import kernel
-
-
-@kernel
-def spaced(positions: Any, spacing: float) -> bool:
-    """Whether no two of ``positions``, shape (N, 2) [m], are closer than ``spacing`` [m]."""
-    for i in range(positions.shape[0]):
-        for j in range(i):
-            dx = positions[i, 0] - positions[j, 0]
-            dy = positions[i, 1] - positions[j, 1]
-            if dx * dx + dy * dy < spacing * spacing:
-                return False
-    return True
 
 
 @kernel
 def is_connected(positions: Any, reach: float) -> bool:
     """Whether the graph of pairs within ``reach`` [m] connects all ``positions``, shape (N, 2) [m]."""
-    count = positions.shape[0]
-    if count > SMALL_TEAM:
-        return bool(linked_groups(positions, reach).max() == 0)
-    found = np.zeros(count, dtype=np.bool_)
-    queue = np.empty(count, dtype=np.int64)
-    queue[0] = 0
-    found[0] = True
-    length = 1
-    head = 0
-    while head < length:
-        i = queue[head]
-        head += 1
-        for j in range(count):
-            dx = positions[i, 0] - positions[j, 0]
-            dy = positions[i, 1] - positions[j, 1]
-            if not found[j] and dx * dx + dy * dy <= reach * reach:
-                found[j] = True
-                queue[length] = j
-                length += 1
-    return bool(length == count)
+    return bool(linked_groups(positions, reach).max() == 0)
 
 
 @kernel
@@ -69,10 +38,20 @@ def linked_groups(positions: Any, reach: float) -> Any:
 
 
 @kernel
+def _are_spaced(positions: Any, spacing: float) -> bool:
+    """Whether no two of ``positions``, shape (N, 2) [m], are closer than ``spacing`` [m]."""
+    for i in range(positions.shape[0]):
+        for j in range(i):
+            if squared_distance(positions, i, j) < spacing * spacing:
+                return False
+    return True
+
+
+@kernel
 def first_valid(candidates: Any, spacing: float, reach: float) -> int:
     """Index of the first valid placement among ``candidates``, shape (K, N, 2) [m]; -1 if none is."""
     for k in range(candidates.shape[0]):
-        if spaced(candidates[k], spacing) and is_connected(candidates[k], reach):
+        if _are_spaced(candidates[k], spacing) and is_connected(candidates[k], reach):
             return k
     return -1
 

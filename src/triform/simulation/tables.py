@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,38 +53,24 @@ class TomlTable:
 
     def table(self, key: str) -> TomlTable:
         """Return the table ``key``, empty if the file has none."""
-        value = self.values.get(key, {})
-        if not isinstance(value, dict):
-            raise self.wrong(key, value, "a table is needed")
+        value = self._checked(key, {}, lambda value: isinstance(value, dict), "a table")
         return TomlTable(self.path, value, self._name(key))
 
     def number(self, key: str, default: float) -> float:
         """Return a number; ``inf`` counts as one."""
-        value = self.values.get(key, default)
-        if not _is_number(value):
-            raise self.wrong(key, value, "a number is needed")
-        return float(value)
+        return float(self._checked(key, default, _is_number, "a number"))
 
     def whole(self, key: str, default: int) -> int:
         """Return a whole number."""
-        value = self.values.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise self.wrong(key, value, "a whole number is needed")
-        return value
+        return int(self._checked(key, default, lambda value: type(value) is int, "a whole number"))
 
     def flag(self, key: str, default: bool) -> bool:
         """Return true or false."""
-        value = self.values.get(key, default)
-        if not isinstance(value, bool):
-            raise self.wrong(key, value, "true or false is needed")
-        return value
+        return bool(self._checked(key, default, lambda value: isinstance(value, bool), "true or false"))
 
     def text(self, key: str, default: str) -> str:
         """Return a text."""
-        value = self.values.get(key, default)
-        if not isinstance(value, str):
-            raise self.wrong(key, value, "a text is needed")
-        return value
+        return str(self._checked(key, default, lambda value: isinstance(value, str), "a text"))
 
     def rows(self, key: str, columns: int, what: str) -> list[list[float]]:
         """Return rows of finite numbers, none if the file has no such key."""
@@ -109,6 +95,12 @@ class TomlTable:
         """Return the error of values that do not go together."""
         where = f", table {self.section}" if self.section else ""
         return ConfigurationError(f"{self.path}{where}: {error}")
+
+    def _checked(self, key: str, default: Any, allowed: Callable[[Any], bool], needed: str) -> Any:
+        value = self.values.get(key, default)
+        if not allowed(value):
+            raise self.wrong(key, value, f"{needed} is needed")
+        return value
 
     def _name(self, key: str) -> str:
         return f"{self.section}.{key}" if self.section else key

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -239,11 +240,8 @@ class World:
         return Contacts(self._min_distance, self._collided, self._hit_arena)
 
     def _record(self) -> None:
-        scene, contacts = self._scene, self._contacts
-        in_parts(
-            lambda first, last: record_contacts(self._poses, self._active, scene, contacts, first, last),
-            len(self._active), self._active.size, RECORDS_PER_THREAD,
-        )  # fmt: skip
+        record = partial(record_contacts, self._poses, self._active, self._scene, self._contacts)
+        in_parts(record, len(self._active), self._active.size, RECORDS_PER_THREAD)
 
     def _advance(self, targets: FloatArray, duration: float, turn_ends: bool) -> None:
         """Move by ``duration`` [s], which lies within one turn of the LiDAR."""
@@ -254,14 +252,11 @@ class World:
         bounds = self._senses.rays_due(self._time, substeps, step, turn_ends)
         # Driving a robot for a step takes about as long as casting two rays.
         rays = self._active.size * (2 * substeps + int(bounds[-1] - bounds[0]))
-        scene, contacts = self._scene, self._contacts
         motion = Motion(self._poses, self._velocities, targets, self._active, drive_limits(self._profile.drive), step)
         ray_period = lidar.period / lidar.scan.rays
         turn = LidarTurn(bounds, elapsed, ray_period, scan_rays(lidar.scan), self._senses.offsets, self._senses.ranges)
-        in_parts(
-            lambda first, last: advance_worlds(motion, scene, contacts, turn, first, last),
-            len(self._active), rays, MOVING_RAYS_PER_THREAD,
-        )  # fmt: skip
+        advance = partial(advance_worlds, motion, self._scene, self._contacts, turn)
+        in_parts(advance, len(self._active), rays, MOVING_RAYS_PER_THREAD)
 
     def _snapshot(self) -> RangeArray:
         """All rays at this moment, without range noise."""

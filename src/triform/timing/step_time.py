@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from triform.control import EXPERTS, ControllerSpec, Triangulating, TriangulatingLaw, drive, weights_folder
-from triform.evaluation.runs import world_seeds
 from triform.evaluation.scenario import Scenario
 from triform.policy.checkpoint import WEIGHTS_FILE
+from triform.simulation import world_seeds
 from triform.threads import limit_threads
 from triform.types import Controller, FloatArray, PrivilegedView, TriformError
 

@@ -2,6 +2,6 @@
 
 from triform.training.checkpoints import Progress
 from triform.training.loop import train
-from triform.training.presets import PRESETS, Precision, TrainConfig, get_preset
+from triform.training.presets import PRESETS, Precision, TrainConfig
 
-__all__ = ["PRESETS", "Precision", "Progress", "TrainConfig", "get_preset", "train"]
+__all__ = ["PRESETS", "Precision", "Progress", "TrainConfig", "train"]

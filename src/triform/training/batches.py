@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -180,19 +180,16 @@ class FreshSource(DrawnSource):
             if count > 0:
                 rng = np.random.default_rng(seeds[1 + part])
                 parts.append(draw_fresh(rng, count * robots, self._teacher, states, config.scan, config.map))
-        maps, commands, around = _joined(parts, robots, config.map.size)
+        if not parts:
+            maps = np.empty((0, config.map.size, config.map.size), np.uint8)
+            parts.append(FreshBatch(maps, np.empty((0, 3)), np.empty((0, robots - 1, COLUMNS))))
+        maps, commands, around = _joined(parts, "maps", "commands", "neighbours")
         return _prepare(maps, commands, around, config, records * robots)
 
 
-def _joined(parts: list[FreshBatch], robots: int, size: int) -> tuple[MapArray, FloatArray, FloatArray]:
-    """Maps, commands and neighbours of several parts, of which there may be none."""
-    nothing = FreshBatch(np.empty((0, size, size), np.uint8), np.empty((0, 3)), np.empty((0, robots - 1, COLUMNS)))
-    parts = parts or [nothing]
-    return (
-        np.concatenate([part.maps for part in parts]),
-        np.concatenate([part.commands for part in parts]),
-        np.concatenate([part.neighbours for part in parts]),
-    )
+def _joined(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
+    """The arrays of these names of all parts, joined."""
+    return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
 
 
 class StoredSource:
@@ -277,9 +274,7 @@ class SceneSource(DrawnSource):
             )
             for part_seed, share in drawn
         ]
-        maps, commands, seen, features = (
-            np.concatenate([getattr(part, name) for part in parts]) for name in ("maps", "commands", "seen", "features")
-        )
+        maps, commands, seen, features = _joined(parts, "maps", "commands", "seen", "features")
         return _prepare(maps, commands, seen, config, config.batch_maps, features)
 
 

@@ -12,7 +12,16 @@ from triform.policy import CnnConfig, GnnConfig, Network, NetworkConfig, PolicyS
 from triform.simulation import Profile
 from triform.types import ConfigurationError, MapConfig, ScanConfig, require
 
+Optimizer = Literal["adamw", "rmsprop"]
+Schedule = Literal["cosine", "constant"]
+Loss = Literal["norm", "mse"]
 Precision = Literal["float32", "medium", "bfloat16"]
+_CHOICES = {
+    "optimizer": get_args(Optimizer),
+    "schedule": get_args(Schedule),
+    "loss": get_args(Loss),
+    "precision": get_args(Precision),
+}
 
 
 @dataclass(frozen=True)
@@ -53,13 +62,13 @@ class TrainConfig:
     network: Network
     maps: int | None
     batch_maps: int = 112
-    optimizer: Literal["adamw", "rmsprop"] = "adamw"
+    optimizer: Optimizer = "adamw"
     learning_rate: float = 3e-3
-    schedule: Literal["cosine", "constant"] = "cosine"
+    schedule: Schedule = "cosine"
     warmup: int = 200
     weight_decay: float = 0.01
     clip: float = 1.0
-    loss: Literal["norm", "mse"] = "norm"
+    loss: Loss = "norm"
     auxiliary: float = 1.0
     distance: float = 1.0
     teacher: str = "expert-odd"
@@ -76,24 +85,20 @@ class TrainConfig:
     map: MapConfig = field(default_factory=MapConfig)
 
     def __post_init__(self) -> None:
-        require(self.maps is None or self.maps >= 1, f"maps is {self.maps}; it must be at least 1")
-        require(self.batch_maps >= 1, f"batch_maps is {self.batch_maps}; it must be at least 1")
+        for name in ("maps", "batch_maps"):
+            value = getattr(self, name)
+            require(value is None or value >= 1, f"{name} is {value}; it must be at least 1")
+        for name in ("warmup", "weight_decay", "clip", "auxiliary", "seed"):
+            value = getattr(self, name)
+            require(value >= 0, f"{name} is {value}; it must not be negative")
+        for name, known in _CHOICES.items():
+            value = getattr(self, name)
+            require(value in known, f"there is no {name} {value!r}; there are {', '.join(known)}")
         require(
             0 < self.learning_rate < math.inf,
             f"learning_rate is {self.learning_rate}; it must be positive and finite",
         )
-        require(self.warmup >= 0, f"warmup is {self.warmup}; it must not be negative")
-        require(self.clip >= 0, f"clip is {self.clip}; it must not be negative")
-        require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
-        require(self.auxiliary >= 0, f"auxiliary is {self.auxiliary}; it must not be negative")
-        require(self.weight_decay >= 0, f"weight_decay is {self.weight_decay}; it must not be negative")
         require(self.distance > 0, f"distance is {self.distance} m; it must be positive")
-        require(self.schedule in ("cosine", "constant"), f"there is no schedule {self.schedule!r}")
-        require(self.loss in ("norm", "mse"), f"there is no loss {self.loss!r}")
-        require(
-            self.precision in get_args(Precision),
-            f"precision is {self.precision!r}; it must be one of {', '.join(get_args(Precision))}",
-        )
         require(
             all(0 < share < 1 for share in self.rounds) and list(self.rounds) == sorted(set(self.rounds)),
             f"rounds are {self.rounds}; growing shares between 0 and 1 are needed",
@@ -112,7 +117,6 @@ class TrainConfig:
                 self.teacher == "triangulating",
                 f"the teacher is {self.teacher!r}; scenes are labelled by the triangulating law alone",
             )
-        require(self.optimizer in ("adamw", "rmsprop"), f"there is no optimizer {self.optimizer!r}")
 
     def for_robot(self, robot: Profile) -> TrainConfig:
         """Return this training with scenes of such robots: their outline, their rays, and errors as large as theirs.
@@ -166,21 +170,23 @@ class TrainConfig:
         return values
 
 
+#: The policy that learns the triangulating law.
+_DEFAULT = TrainConfig(
+    "default",
+    NetworkConfig(dim=96, depth=3, heads=4, mlp=192, outputs=4),
+    maps=9_000_000,
+    learning_rate=2.5e-3,
+    warmup=500,
+    teacher="triangulating",
+    scenes=SceneConfig(),
+    rounds=(0.2, 0.4, 0.6, 0.8),
+    rest_speed=0.015,
+    least_push=0.07,
+    search_push=0.5,
+)
+
 PRESETS = {
-    # The policy that learns the triangulating law.
-    "default": TrainConfig(
-        "default",
-        NetworkConfig(dim=96, depth=3, heads=4, mlp=192, outputs=4),
-        maps=9_000_000,
-        learning_rate=2.5e-3,
-        warmup=500,
-        teacher="triangulating",
-        scenes=SceneConfig(),
-        rounds=(0.2, 0.4, 0.6, 0.8),
-        rest_speed=0.015,
-        least_push=0.07,
-        search_push=0.5,
-    ),
+    "default": _DEFAULT,
     # The published method with a recipe that works: a small network that learns an expert of springs.
     "springs": TrainConfig("springs", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=5_000_000),
     # The same with the paper's network.
@@ -201,42 +207,25 @@ PRESETS = {
         teacher="expert",
         states=StateConfig(robots=(7,)),
     ),
-}
-
-#: Learns the triangulating law in minutes on one processor, and less well: of 100 runs each of 5, 9 and 13 robots, 98,
-#: 88 and 67 end in a true triangulation.
-PRESETS |= {
+    # Learns the triangulating law in minutes on one processor, and less well: of 100 runs each of 5, 9 and 13 robots,
+    # 98, 88 and 67 end in a true triangulation.
     "quick": replace(
-        PRESETS["default"],
+        _DEFAULT,
         preset="quick",
         network=NetworkConfig(dim=64, depth=2, heads=4, mlp=128, outputs=4),
         maps=300_000,
         learning_rate=3e-3,
         warmup=100,
         rounds=(0.5,),
-    )
-}
-
-#: What the policy that learned the triangulating law is compared with, trained on the same scenes in the same way: a
-#: convolutional network, a graph network whose robots talk, and the paper's network, which attends to every patch.
-PRESETS |= {
-    "cnn": replace(PRESETS["default"], preset="cnn", network=CnnConfig()),
-    "gnn": replace(PRESETS["default"], preset="gnn", network=GnnConfig()),
+    ),
+    # What the policy that learned the triangulating law is compared with, trained on the same scenes in the same way: a
+    # convolutional network, a graph network whose robots talk, and the paper's network, which attends to every patch.
+    "cnn": replace(_DEFAULT, preset="cnn", network=CnnConfig()),
+    "gnn": replace(_DEFAULT, preset="gnn", network=GnnConfig()),
     "dense": replace(
-        PRESETS["default"],
+        _DEFAULT,
         preset="dense",
         network=NetworkConfig(outputs=4, attention="all"),
         learning_rate=4e-4,
     ),
 }
-
-
-def get_preset(name: str) -> TrainConfig:
-    """Return a preset by name.
-
-    Raises:
-        ConfigurationError: If there is none of that name.
-    """
-    if name not in PRESETS:
-        raise ConfigurationError(f"there is no training preset {name!r}; there are {', '.join(sorted(PRESETS))}")
-    return PRESETS[name]

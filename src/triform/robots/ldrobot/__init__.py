@@ -6,7 +6,7 @@ from triform.robots.ldrobot.emulator import LidarEmulator
 from triform.robots.ldrobot.models import LD19, LD20, MODELS, LidarModel
 from triform.robots.ldrobot.packets import PACKET, PacketParser, Packets, encode_packets
 from triform.robots.ldrobot.port import LidarError, LidarPort
-from triform.robots.ldrobot.turns import Turn, TurnAssembler
+from triform.robots.ldrobot.turns import TurnAssembler
 
 __all__ = [
     "LD19",
@@ -19,7 +19,6 @@ __all__ = [
     "LidarPort",
     "PacketParser",
     "Packets",
-    "Turn",
     "TurnAssembler",
     "encode_packets",
 ]

@@ -9,9 +9,10 @@ import time
 from pathlib import Path
 from types import TracebackType
 
+from triform.robots.laser_scan import Turn
 from triform.robots.ldrobot.models import LidarModel
 from triform.robots.ldrobot.packets import BAUD, LINE_RATE, PacketParser
-from triform.robots.ldrobot.turns import LONGEST_GAP, Turn, TurnAssembler
+from triform.robots.ldrobot.turns import LONGEST_GAP, TurnAssembler
 from triform.types import ScanConfig, TriformError
 
 #: A LiDAR that is silent for longer is lost [s].

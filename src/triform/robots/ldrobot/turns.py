@@ -18,16 +18,16 @@ difference.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from triform.kernels import kernel
+from triform.robots.laser_scan import Turn
 from triform.robots.ldrobot.models import LidarModel
 from triform.robots.ldrobot.packets import CLOCK_WRAP, LINE_RATE, PACKET_BYTES, SAMPLES, Packets, sample_angles
-from triform.types import FloatArray, IntArray, RangeArray, ScanConfig, require
+from triform.types import FloatArray, IntArray, ScanConfig, require
 
 #: How far a ray looks for its sample [spacings of rays or of samples, whichever is wider]. Half a spacing is the least
 #: at the usual speed; this also bridges the wider spacing of a LiDAR that turns half as fast again.
@@ -40,22 +40,6 @@ LONGEST_GAP = 1.0
 DRIFT = 5e-4
 #: Time from the last sample of a packet to its arrival, if nothing holds it up [s].
 _WIRE_TIME = PACKET_BYTES / LINE_RATE
-
-
-@dataclass(frozen=True)
-class Turn:
-    """One turn of a LiDAR.
-
-    Attributes:
-        ranges: Ranges on the fixed grid [m], float32, shape (R,): ``+inf`` no return or beyond ``range_max``, ``-inf``
-            below ``range_min``, ``NaN`` no measurement.
-        started: When its first sample was measured, on the host's monotonic clock [s].
-        ended: When its last sample was measured [s].
-    """
-
-    ranges: RangeArray
-    started: float
-    ended: float
 
 
 @kernel

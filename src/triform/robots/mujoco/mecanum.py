@@ -9,7 +9,7 @@ from mujoco.batch import Batch
 
 from triform.robots.chassis import MASS, WHEEL_MASS, WHEEL_PLACE, check_wheels
 from triform.robots.mujoco.shapes import UNTOUCHED, RobotParts, chassis, inertia
-from triform.simulation.kinematics import WHEEL_RADIUS, steer, twist_from_wheels, wheel_speeds
+from triform.simulation.kinematics import WHEEL_RADIUS, steer
 from triform.simulation.profiles import Drive, Footprint
 from triform.types import FloatArray
 
@@ -21,8 +21,11 @@ _ROLLER_SHARE = 0.4
 _ROLLER_DAMPING = 1e-5
 #: Inertia that a motor adds to its wheel [kg m^2]: enough that the ground does not change the speed that it is set to.
 _ARMATURE = 1.0
-#: Wheels in the order of ``wheel_speeds``: place in front of and beside the centre, in units of ``WHEEL_PLACE``.
+#: Wheels: place in front of and beside the centre, in units of ``WHEEL_PLACE``.
 _WHEELS = {"front_left": (1, 1), "front_right": (1, -1), "rear_left": (-1, 1), "rear_right": (-1, -1)}
+#: Rates of the wheels that make a body twist, shape (4, 3) [rad/m, rad/m, 1], and the twist that rates make, (3, 4).
+_RATES = np.array([[1, -forward * left, -2 * WHEEL_PLACE * left] for forward, left in _WHEELS.values()]) / WHEEL_RADIUS
+_TWIST = np.linalg.pinv(_RATES)
 #: Joints of a wheel, its own first, and of all wheels.
 _WHEEL_JOINTS = 1 + _ROLLERS
 _JOINTS = len(_WHEELS) * _WHEEL_JOINTS
@@ -85,9 +88,8 @@ class MecanumBase:
 
     def drive(self, targets: FloatArray) -> None:
         """Turn the wheels for one step of the physics, so that limited body twists, shape (B, N, 3), are approached."""
-        turned_for = twist_from_wheels(self._wheels * WHEEL_RADIUS)
-        _, wanted = steer(self.poses, turned_for, targets, self._drive, self.time_step)
-        self._wheels[:] = wheel_speeds(wanted) / WHEEL_RADIUS
+        _, wanted = steer(self.poses, self._wheels @ _TWIST.T, targets, self._drive, self.time_step)
+        self._wheels[:] = wanted @ _RATES.T
 
     @property
     def _headings(self) -> FloatArray:
