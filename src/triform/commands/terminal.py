@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from triform.report.listener import Advance
+from triform.types import printable
 
 
 class Terminal:
@@ -39,7 +40,7 @@ class Terminal:
 
     def say(self, sentence: str) -> None:
         """Show a sentence."""
-        self.console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+        self.console.print(printable(sentence), markup=False, highlight=False, soft_wrap=True)
 
     def milestone(self, sentence: str) -> None:
         """Show what is done where no progress bar can be drawn."""
@@ -52,7 +53,7 @@ class Terminal:
         for heading in headings:
             table.add_column(Text(heading), justify="right", overflow="fold")
         for row in rows:
-            table.add_row(*map(Text, row))
+            table.add_row(*(Text(printable(cell)) for cell in row))
         self.console.print(table)
         if note:
             self.console.print(Text(note, style="dim"))

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from triform.simulation.mounting import Mounting
 from triform.types import Body, ConfigurationError, FloatArray, ScanConfig, choose, nearest, require
 
 
@@ -18,7 +19,7 @@ def _is_positive(value: float) -> bool:
 
 @dataclass(frozen=True)
 class Footprint:
-    """Outline of a robot seen from above, centred on the LiDAR.
+    """Outline of a robot seen from above, centred on its base.
 
     Attributes:
         shape: ``"box"`` or ``"circle"``.
@@ -235,6 +236,8 @@ class Profile:
         latency: Time from a finished scan until a command can use it [s].
         time_step: Longest integration step [s].
         odometry: Whether a robot's wheels tell it how far it has come.
+        mounting: Where the LiDAR is on the base, and what it cannot see from there. A simulated LiDAR's own errors and
+            the order of its rays do not depend on its yaw, nor on whether it is upright.
     """
 
     name: str
@@ -245,6 +248,7 @@ class Profile:
     latency: float = 0.0
     time_step: float = 0.01
     odometry: bool = True
+    mounting: Mounting = field(default_factory=Mounting)
 
     def __post_init__(self) -> None:
         for name in ("control_period", "time_step"):
@@ -255,6 +259,11 @@ class Profile:
     def seeing(self, reach: float) -> Profile:
         """Return these robots with a LiDAR that looks up to ``reach`` far [m]."""
         return replace(self, lidar=replace(self.lidar, scan=replace(self.lidar.scan, range_max=reach)))
+
+    @property
+    def from_lidar(self) -> ScanConfig:
+        """The scan from where the LiDAR is: as far beyond what the robot uses as the LiDAR is off its centre."""
+        return replace(self.lidar.scan, range_max=self.lidar.scan.range_max + self.mounting.offset)
 
 
 IDEAL = Profile("ideal")

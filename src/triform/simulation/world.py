@@ -254,14 +254,16 @@ class World:
         rays = self._active.size * (2 * substeps + int(bounds[-1] - bounds[0]))
         motion = Motion(self._poses, self._velocities, targets, self._active, drive_limits(self._profile.drive), step)
         ray_period = lidar.period / lidar.scan.rays
-        turn = LidarTurn(bounds, elapsed, ray_period, scan_rays(lidar.scan), self._senses.offsets, self._senses.ranges)
+        rays_of_turn = scan_rays(self._profile.from_lidar, self._profile.mounting.x, self._profile.mounting.y)
+        turn = LidarTurn(bounds, elapsed, ray_period, rays_of_turn, self._senses.offsets, self._senses.ranges)
         advance = partial(advance_worlds, motion, self._scene, self._contacts, turn)
         in_parts(advance, len(self._active), rays, MOVING_RAYS_PER_THREAD)
 
     def _snapshot(self) -> RangeArray:
         """All rays at this moment, without range noise."""
-        scene = (self._profile.footprint, self._arena, self._profile.lidar.scan)
-        return cast_scans(self._poses, self._active, *scene, self._senses.draw_offsets(self._active), np.float32)
+        profile, mounting = self._profile, self._profile.mounting
+        scene = (profile.footprint, self._arena, profile.from_lidar, self._senses.draw_offsets(self._active))
+        return cast_scans(self._poses, self._active, *scene, np.float32, (mounting.x, mounting.y))
 
     def _grow(self) -> None:
         """Append one place to axis N of everything."""
