@@ -24,6 +24,7 @@ from triform.simulation import (
     IDEAL,
     Arena,
     Footprint,
+    Mounting,
     World,
     cast_scans,
     get_arena,
@@ -93,11 +94,13 @@ def test_what_is_nearer_than_range_min_is_too_near():
     np.testing.assert_allclose(ranges[0, 0], [np.inf, 0.7, np.inf, -np.inf], atol=1e-3)
 
 
-@pytest.mark.parametrize("angle_noise", [0.0, 0.02])
+@pytest.mark.parametrize(
+    ("angle_noise", "mounting"), [(0.0, Mounting()), (0.02, Mounting(x=0.05, y=-0.03, blind_sectors=((30.0, 50.0),)))]
+)
 @each_base
-def test_rolling_turns_errors_and_latency_are_those_of_the_built_in_world(base, angle_noise):
+def test_rolling_turns_errors_and_latency_are_those_of_the_built_in_world(base, angle_noise, mounting):
     """Robots at rest measure the same, so every error that is drawn must fall on the same ray."""
-    profile = replace(HARDWARE, lidar=replace(HARDWARE.lidar, angle_noise=angle_noise))
+    profile = replace(HARDWARE, lidar=replace(HARDWARE.lidar, angle_noise=angle_noise), mounting=mounting)
     still = np.zeros((WORLDS, ROBOTS, 3))
     team, world = MujocoTeam(STARTS, profile, seeds=SEEDS, base=base), World(STARTS, profile, seeds=SEEDS)
     for _ in range(6):

@@ -16,10 +16,17 @@ _RAYS_PER_THREAD = 10_000
 class RayCaster:
     """The LiDARs of N robots, each in the plane of its robot; a robot does not see its own body."""
 
-    def __init__(self, model: mujoco.MjModel, scan: ScanConfig) -> None:
-        """Take a model that ``write_sight`` wrote, and the rays of every robot."""
+    def __init__(self, model: mujoco.MjModel, scan: ScanConfig, eye: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Take what rays meet, and the rays.
+
+        Args:
+            model: Of N robots, as ``write_sight`` writes it.
+            scan: Rays of every robot and limits of range.
+            eye: Where the LiDAR is on each robot, forward and left of its centre [m].
+        """
         self._model = model
         self._scan = scan
+        self._eye = np.array([*eye, LIDAR_HEIGHT])
 
     def cast_into(
         self,
@@ -42,6 +49,7 @@ class RayCaster:
         angles = self._scan.angles[rays]
         if len(angles) == 0:
             return
+        exact = _directions(angles)
 
         def cast(first: int, last: int) -> None:
             data = mujoco.MjData(self._model)
@@ -50,13 +58,12 @@ class RayCaster:
                 data.mocap_pos[:], data.mocap_quat[:] = frames[b, :, :3], frames[b, :, 3:]
                 mujoco.mj_kinematics(self._model, data)
                 for i in np.flatnonzero(active[b]):
-                    turned = angles if offsets is None else angles + offsets[b, i, rays]
                     body = self._model.body(f"robot{i}").id
                     axes = data.xmat[body].reshape(3, 3).T
-                    directions = np.stack([np.cos(turned), np.sin(turned)], axis=-1) @ axes[:2]
+                    directions = exact if offsets is None else _directions(angles + offsets[b, i, rays])
                     mujoco.mj_multiRay(
-                        self._model, data, data.xpos[body] + LIDAR_HEIGHT * axes[2], directions.ravel(), None, True,
-                        body, geometries, hits, None, len(angles), self._scan.range_max,
+                        self._model, data, data.xpos[body] + self._eye @ axes, (directions @ axes[:2]).ravel(), None,
+                        True, body, geometries, hits, None, len(angles), self._scan.range_max,
                     )  # fmt: skip
                     ranges[b, i, rays] = self._limited(hits)
 
@@ -66,3 +73,8 @@ class RayCaster:
         """Return distances of hits, -1 for none, as ranges [m]."""
         missed = (hits < 0) | (hits > self._scan.range_max)
         return np.where(missed, np.inf, np.where(hits < self._scan.range_min, -np.inf, hits))
+
+
+def _directions(angles: FloatArray) -> FloatArray:
+    """Return unit vectors in the plane of a robot, shape (R, 2)."""
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)

@@ -188,7 +188,8 @@ class MujocoTeam:
         self._batch = Batch(model, worlds, min(worlds, usable_threads()))
         self._motion = MOTIONS[self._base](self._batch, robots, self._drive, footprint)
         sight = mujoco.MjModel.from_xml_string(write_sight(footprint, self.arena, robots))
-        self._rays = RayCaster(sight, self.profile.lidar.scan)
+        mounting = self.profile.mounting
+        self._rays = RayCaster(sight, self.profile.from_lidar, (mounting.x, mounting.y))
         self._found = self._batch.bind("sensordata").reshape(worlds, robots, 2)
         for b, i in np.ndindex(worlds, robots):
             self._park(b, i)
