@@ -12,7 +12,7 @@ import numpy as np
 
 from triform.robots.laser_scan import Turn
 from triform.simulation import Drive, limit_twists
-from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
+from triform.simulation.noise import noise_in_body, noise_keys
 from triform.simulation.odometry import relative_poses, resting_poses
 from triform.types import FloatArray, Scan, ScanConfig, TriformError, View, require
 
@@ -149,7 +149,6 @@ class RealRobot:
         self.control_period = control_period
         self._limits = limits
         self._keys = noise_keys([np.random.SeedSequence(seed)], 1)
-        self._noise_scale = noise_scale(limits)
         self._odometry = odometry
         self._timeout = scan_timeout
         self._on_sent, self._warn = on_sent, warn
@@ -174,12 +173,15 @@ class RealRobot:
         ranges = np.full(self._scan.rays, np.nan if old else np.inf, np.float32)
         if turn is not None and not old:
             ranges = turn.ranges
+        then, resting = (None, None) if turn is None else self._poses(turn, now)
+        heading = np.zeros((1, 1)) if resting is None else resting[..., 2]
+        moved = None if then is None or resting is None else relative_poses(resting, then, _ONE)
         self._view = View(
             scans=Scan(ranges[None, None], self._scan),
             active=_ONE,
             time=now - self._started,
-            noise=self._noise_scale * exploration_noise(self._keys, 1, now - self._started),
-            odometry=None if turn is None or not self._odometry else self._moved(turn, now),
+            noise=noise_in_body(self._keys, self._limits, now - self._started, heading),
+            odometry=moved,
         )
         return self._view
 
@@ -210,13 +212,13 @@ class RealRobot:
             self._on_sent(Step(self._seen, decided, sent, self._turn, self._view, command, pose, self._blind, late))
         time.sleep(max(0.0, self._due - time.monotonic()))
 
-    def _moved(self, turn: Turn, now: float) -> FloatArray | None:
-        """Pose at rest in the frame of the robot in the middle of a turn, shape (1, 1, 3); ``None`` if not known."""
-        if self._base is None:
-            return None
+    def _poses(self, turn: Turn, now: float) -> tuple[FloatArray | None, FloatArray | None]:
+        """Poses in the middle of a turn and at rest after now, shape (1, 1, 3); ``None`` if they are not known."""
+        if self._base is None or not self._odometry:
+            return None, None
         moments = ((turn.started + turn.ended) / 2, now - _SPEED_TIME, now)
         then, before, here = (self._base.odometry(moment) for moment in moments)
         if then is None or before is None or here is None:
-            return None
+            return None, None
         velocity = relative_poses(here[None, None], before[None, None], _ONE) / _SPEED_TIME
-        return relative_poses(resting_poses(here[None, None], velocity, self._limits), then[None, None], _ONE)
+        return then[None, None], resting_poses(here[None, None], velocity, self._limits)

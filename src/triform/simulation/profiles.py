@@ -9,7 +9,12 @@ from typing import Literal
 
 import numpy as np
 
+from triform.geometry.unicycle import Wheels
 from triform.types import Body, ConfigurationError, FloatArray, ScanConfig, choose, nearest, require
+
+
+#: Kinds of bases.
+BASES = ("holonomic", "differential")
 
 
 def _is_positive(value: float) -> bool:
@@ -206,6 +211,11 @@ class Drive:
         max_acceleration: Largest norm of the translational acceleration [m/s^2].
         max_turn_acceleration: Largest angular acceleration [rad/s^2].
         lag: Time constant of the first-order actuator lag [s]; 0 means none.
+        base: ``"holonomic"``, or ``"differential"``: two driven wheels on an axle through the centre, which turn the
+            robot to where it is to go. ``max_speed`` is then the speed along its axis.
+        track: Distance between the wheels of a differential base [m].
+        max_wheel_speed: Largest speed of one of these wheels [m/s].
+        reverse: Whether a differential base may drive backwards.
     """
 
     max_speed: float = 0.5
@@ -214,12 +224,49 @@ class Drive:
     max_acceleration: float = math.inf
     max_turn_acceleration: float = math.inf
     lag: float = 0.0
+    base: Literal["holonomic", "differential"] = "holonomic"
+    track: float = 0.0
+    max_wheel_speed: float = math.inf
+    reverse: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("max_speed", "max_axis_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration"):
+        for name in (
+            "max_speed", "max_axis_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration",
+            "max_wheel_speed",
+        ):  # fmt: skip
             value = getattr(self, name)
             require(value > 0, f"{name} is {value}; it must be positive (inf for no limit)")
         require(0 <= self.lag < math.inf, f"lag is {self.lag} s; it must be finite and not negative")
+        require(self.base in BASES, f"base is {self.base!r}; allowed are {', '.join(BASES)}")
+        require(0 <= self.track < math.inf, f"track is {self.track} m; it must be finite and not negative")
+        require(
+            not self.is_differential or self.max_turn_rate < math.inf,
+            "max_turn_rate is inf; a differential base turns to where it is to go, so its turn rate has a limit",
+        )
+
+    @property
+    def is_differential(self) -> bool:
+        """Whether the base has two driven wheels."""
+        return self.base == "differential"
+
+    @property
+    def braking_lag(self) -> float:
+        """Lag with which a robot at full speed would brake on the way that it needs with its limit of acceleration [s]."""
+        return self.lag + min(self.max_speed, self.max_axis_speed) / (2 * self.max_acceleration)
+
+    @property
+    def turning_lag(self) -> float:
+        """The same for the fastest turn of a differential base [s]."""
+        return self.lag + self.max_turn_rate / (2 * self.max_turn_acceleration)
+
+    @property
+    def wheels(self) -> Wheels | None:
+        """The limits of a differential base as kernels take them; ``None`` for a holonomic one."""
+        if not self.is_differential:
+            return None
+        speed = min(self.max_speed, self.max_axis_speed)
+        limits = map(float, (speed, self.max_turn_rate, self.track / 2, self.max_wheel_speed))
+        return Wheels(*limits, self.reverse)
 
 
 @dataclass(frozen=True)
