@@ -1,7 +1,7 @@
 # make demo    the main job on the shipped weights
 # make test    every check that CI runs; those that need Gazebo are skipped where there is none
 # make gazebo  a Gazebo 11 of our own, or the plugin for one that is installed
-# make fuzz    ten million bytes and more through the LiDAR's parser
+# make fuzz    campaigns against LiDAR bytes, command line, policies, data sets, recordings, a robot's answers, and kills
 # make bench   speed, beside peers and the machine's limits, into benchmarks/results
 # All set up their own virtual environments; the second time that takes no time.
 
@@ -28,10 +28,16 @@ test: .venv/installed-dev $(ROS)/installed
 gazebo: .venv/installed-evaluate
 	$(BIN)/python -m triform.robots.gazebo.install
 
+# Seconds of each campaign of `make fuzz`; docs/reliability.md has what they found.
+FUZZ_SECONDS ?= 120
+
 fuzz: .venv/installed-dev
 	mkdir -p build/fuzz
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m tests.fuzz.fuzz_lidar build/fuzz \
-		-artifact_prefix=build/ -max_len=2048 -len_control=0 -max_total_time=240
+		-artifact_prefix=build/ -max_len=2048 -len_control=0 -max_total_time=$(FUZZ_SECONDS)
+	failed=; for campaign in command_line policies data_sets recordings robot_answers kills; do \
+		$(BIN)/python -m tests.fuzz.$$campaign --seconds $(FUZZ_SECONDS) || failed="$$failed $$campaign"; \
+	done; test -z "$$failed" || { echo "failed:$$failed" >&2; exit 1; }
 
 bench: .venv/installed-bench
 	$(BIN)/python -m benchmarks

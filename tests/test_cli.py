@@ -165,7 +165,7 @@ def test_the_first_command_says_that_it_compiles(tmp_path: Path) -> None:
 
 def test_a_mistyped_command_is_guessed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evalute"]) == 2
-    assert "there is no command 'evalute'; did you mean 'evaluate'?" in capsys.readouterr().err
+    assert "there is no command 'evalute' (did you mean 'evaluate'?)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import os
 import sys
@@ -13,7 +12,7 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from triform.types import TriformError
+from triform.types import TriformError, nearest
 from triform.version import __version__
 
 #: Extra and package of the modules that extras install.
@@ -36,46 +35,62 @@ class Command:
 
     Attributes:
         group: What people do with it.
+        name: Its name.
         summary: What it does.
-        options: Module and class of its options; the class has ``run(console)``.
         example: A command line.
+        library: Module of its work, with ``NameConfig`` and ``run_name(config, listener)``; if empty, the command has
+            a file ``commands/name.py`` of its own, with a class ``Name`` that has ``run(console)``.
     """
 
     group: str
+    name: str
     summary: str
-    options: str
     example: str
+    library: str = ""
 
     def load(self) -> Any:
-        """Import the class of the options."""
-        module, _, name = self.options.partition(":")
-        return getattr(importlib.import_module(module), name)
+        """Import the class of the options, which has ``run(console)``."""
+        title = self.name.capitalize()
+        if not self.library:
+            return getattr(importlib.import_module(f"triform.commands.{self.name}"), title)
+        from triform.commands.terminal import on_terminal
+
+        module = importlib.import_module(f"triform.{self.library}")
+        return on_terminal(title, getattr(module, f"{title}Config"), getattr(module, f"run_{self.name}"))
 
 
-def _command(group: str, name: str, summary: str, example: str) -> tuple[str, Command]:
-    return name, Command(group, summary, f"triform.commands.{name}:{name.capitalize()}", f"triform {name} {example}")
-
-
-COMMANDS: dict[str, Command] = dict(
-    [
-        _command("look", "demo", "run one team and draw it", "--robots 9"),
-        _command("look", "show", "list profiles, arenas, controllers, policies; print one as TOML", "profile hardware"),
-        _command(
-            "measure", "evaluate", "measure a controller on many starts", "--robots 5 9 --runs 100 --json out.json"
-        ),
-        _command("measure", "compare", "measure controllers side by side", "--controllers policy mine.py:Springs"),
-        _command("measure", "conditions", "measure a controller under many conditions", "--which latency arena"),
-        _command("measure", "ablate", "measure the triangulating law without each of its terms", "--robots 5 9"),
-        _command("measure", "reproduce", "write the paper's tables and figures", "table1 --runs 100"),
-        _command("measure", "measure", "measure recorded runs", "take.csv --figures figures"),
-        _command("learn", "collect", "collect demonstrations", "--preset quick --out data"),
-        _command("learn", "train", "train a policy", "--preset default --out runs/mine"),
-        _command("learn", "export", "make a trained policy run without PyTorch", "runs/mine/best"),
-        _command("drive", "drive", "drive one robot, LiDAR to wheels", "--lidar /dev/ttyUSB0"),
-        _command("drive", "emulate", "emulate robots, byte for byte, to drive without any", "--robots 4"),
-        _command("drive", "bench", "time one robot's way from scan to command on this computer", "--rate 8"),
-    ]
-)
+_TABLE = (
+    ("look", "demo", "run one team and draw it", "--robots 9", "experiments.demo"),
+    ("look", "show", "list profiles, arenas, controllers, policies; print one as TOML", "profile hardware"),
+    (
+        "measure", "evaluate", "measure a controller on many starts", "--robots 5 9 --runs 100 --json out.json",
+        "experiments.evaluate",
+    ),
+    (
+        "measure", "compare", "measure controllers side by side", "--controllers policy mine.py:Springs",
+        "experiments.compare",
+    ),
+    (
+        "measure", "conditions", "measure a controller under many conditions", "--which latency arena",
+        "experiments.conditions",
+    ),
+    (
+        "measure", "ablate", "measure the triangulating law without each of its terms", "--robots 5 9",
+        "experiments.ablation",
+    ),
+    ("measure", "reproduce", "write the paper's tables and figures", "table1 --runs 100"),
+    ("measure", "measure", "measure recorded runs", "take.csv --figures figures"),
+    ("learn", "collect", "collect demonstrations", "--preset quick --out data"),
+    ("learn", "train", "train a policy", "--preset default --out runs/mine"),
+    ("learn", "export", "make a trained policy run without PyTorch", "runs/mine/best"),
+    ("drive", "drive", "drive one robot, LiDAR to wheels", "--lidar /dev/ttyUSB0"),
+    ("drive", "emulate", "emulate robots, byte for byte, to drive without any", "--robots 4"),
+    ("drive", "bench", "time one robot's way from scan to command on this computer", "--rate 8", "timing.robot"),
+)  # fmt: skip
+COMMANDS = {
+    name: Command(group, name, summary, f"triform {name} {example}", *library)
+    for group, name, summary, example, *library in _TABLE
+}
 
 
 def _overview() -> str:
@@ -88,12 +103,6 @@ def _overview() -> str:
     return "\n".join([*lines, "", "triform COMMAND --help shows a command's options."])
 
 
-def _unknown(name: str) -> str:
-    """Say that there is no such command, and which is meant."""
-    near = difflib.get_close_matches(name, COMMANDS, n=1)
-    return f"there is no command {name!r}" + (f"; did you mean {near[0]!r}?" if near else "")
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status: 0 done, 1 it could not be done, 2 wrong usage."""
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -102,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write((__version__ if given == ["--version"] else _overview()) + "\n")
         return 0
     if not given or given[0] not in COMMANDS:
-        problem = _unknown(given[0]) if given else "a command is missing"
+        problem = f"there is no command {given[0]!r}{nearest(given[0], COMMANDS)}" if given else "a command is missing"
         sys.stderr.write(f"triform: {problem}\n\n{_overview()}\n")
         return 2
     try:

@@ -30,6 +30,8 @@ MapArray = NDArray[np.uint8]
 
 #: Reach of the paper's LiDAR: how far one robot sees another [m], for a prescribed distance of 1 m.
 SENSING_RANGE = 2.0
+#: No robot is so far away, has come so far, or is noised so much [m].
+LARGEST = 1e6
 #: How long a robot holds its exploration noise before it draws anew [s].
 NOISE_PERIOD = 0.5
 
@@ -37,8 +39,20 @@ NOISE_PERIOD = 0.5
 Value = TypeVar("Value")
 
 
+def printable(text: str) -> str:
+    """Return text that others wrote as a terminal may show it: what is no printable character becomes its escape.
+
+    Names of files, answers of a robot, the log of another program and the like can hold sequences that steer a
+    terminal, ends of lines, or characters that no encoding has.
+    """
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
 class TriformError(Exception):
-    """Something the user gave or the machine did is wrong; the message says what in one sentence."""
+    """Something the user gave or the machine did is wrong; the message says what in one sentence, all printable."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 class ConfigurationError(TriformError, ValueError):
@@ -240,6 +254,15 @@ class View:
                 raise ConfigurationError(
                     f"a view has {name} of shape {values.shape}; {(*self.active.shape, width)} is needed"
                 )
+            if values is not None and not is_plausible(values[self.active]):
+                raise ConfigurationError(
+                    f"a view has {name} that is not finite or exceeds {LARGEST:g}; no command can rest on it"
+                )
+
+
+def is_plausible(values: FloatArray) -> bool:
+    """Tell whether all values are finite and none exceeds ``LARGEST``, so that no law about them overflows."""
+    return bool((np.abs(values) <= LARGEST).all())
 
 
 @dataclass(frozen=True)

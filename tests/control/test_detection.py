@@ -201,7 +201,7 @@ def test_dropped_and_too_close_rays_do_not_matter():
 
 def test_a_robot_cut_in_two_is_one_robot_and_the_thin_pole_before_it_none():
     truth = [(1.4, 0.0, np.pi / 2)]
-    scan = observed(truth, Arena.open().with_pillars([[0.7, 0.0, 0.02]]))
+    scan = observed(truth, Arena(pillars=np.array([[0.7, 0.0, 0.02]])))
     assert np.isfinite(scan.ranges[:225]).any()
     centres, count = detect_robots(scan)
     assert count == 1

@@ -155,12 +155,12 @@ def test_noise_needs_pushes():
 
 
 def test_variants_can_be_sent_to_another_machine():
-    controller = Scenario().filtered(VARIANTS["noisy positions"].controller(1.0))
+    controller = Scenario().make_controller(VARIANTS["noisy positions"].controller(1.0))
     far = pickle.loads(pickle.dumps(controller))
     assert far.description == controller.description
     assert far.description["position_noise"] == 0.02
     assert "guard" in far.description
-    bare = Scenario(guard=False).filtered(Variant().controller(1.0))
+    bare = Scenario(guard=False).make_controller(Variant().controller(1.0))
     assert bare.description == Triangulating().description
 
 

@@ -11,9 +11,10 @@ from triform.commands.terminal import Terminal
 from triform.evaluation import runs as runs_module
 from triform.evaluation.metrics import wilson_interval
 from triform.experiments import grid as grid_module
+from triform.experiments.cell import Cell
 from triform.experiments.conditions import ConditionsConfig, failed_runs, run_conditions
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.experiments.grid import Cell, Grid, read_labels
+from triform.experiments.grid import Grid, read_labels
 from triform.types import TriformError
 
 QUICK = {

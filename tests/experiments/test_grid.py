@@ -15,8 +15,10 @@ from triform.evaluation import runs as runs_module
 from triform.evaluation.metrics import summarise, wilson_interval
 from triform.evaluation.runs import Execution
 from triform.experiments import grid as measured
+from triform.experiments.cell import Cell
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.experiments.grid import Cell, Grid, describe_runs, digest, measure_grid, spread_out
+from triform.experiments.grid import Grid, measure_grid, spread_out
+from triform.experiments.settings import digest
 from triform.types import TriformError
 
 SEED = 3
@@ -189,5 +191,5 @@ def test_runs_of_another_body_are_other_runs():
         Scenario(simulator="gazebo", gazebo_base="mecanum"),
         Scenario(profile="hardware"),
     ]
-    described = [describe_runs(make_cell("a", "policy", each, 5, 10), each.make_controller()) for each in scenarios]
+    described = [make_cell("a", "policy", each, 5, 10).settings(each.make_controller()) for each in scenarios]
     assert len({digest(each) for each in described}) == len(scenarios)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from PIL import Image
@@ -11,15 +12,7 @@ from triform.evaluation import measure
 from triform.evaluation.metrics import concatenate
 from triform.figures.animation import animate
 from triform.figures.runs import Scene, TeamChange, figure_3, figure_4, figure_5, run_figure
-from triform.figures.style import (
-    bounds,
-    edge_lines,
-    footprint_outlines,
-    heading_marks,
-    plt,
-    robot_colours,
-    save_figure,
-)
+from triform.figures.style import bounds, edge_lines, footprint_outlines, heading_marks, robot_colours, save_figure
 from triform.simulation import ROBOMASTER_EP, Arena, Footprint, get_arena
 from triform.types import TriformError
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import json
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection, PolyCollection
@@ -15,7 +16,7 @@ from triform.evaluation.metrics import concatenate
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.experiments.reproduce import ReproduceConfig, run_reproduce
 from triform.figures.paper import figure_2, figure_9, snapshot_records
-from triform.figures.style import plt, save_figure
+from triform.figures.style import save_figure
 
 
 def assert_picture(path):

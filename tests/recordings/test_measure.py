@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,7 +18,6 @@ from triform.evaluation import Trajectory, summarise
 from triform.evaluation.metrics import measure
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.figures.recorded import figure_7, figure_8
-from triform.figures.style import plt
 from triform.recordings.measure import MeasureConfig, any_overlap, run_measure
 from triform.simulation import FOOTPRINTS
 from triform.types import ConfigurationError, TriformError

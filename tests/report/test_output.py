@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from triform.report.output import plain, prepare_file, prepare_folder, write_bytes, write_json, write_text
+from triform.report.output import plain, prepare_file, prepare_folder, write_json, write_text
 from triform.types import TriformError
 
 
@@ -27,7 +27,7 @@ def test_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(TriformError, match="disk on fire"):
-        write_bytes(path, b"new")
+        write_text(path, "new")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 

@@ -53,7 +53,7 @@ def test_walls_and_pillars_match_shapely(footprint: Footprint) -> None:
         poses = rng.uniform([-1, -1, -np.pi], [1, 1, np.pi], (20, 1, 3))
         for arena, solid, reach in [
             (Arena("wall", wall[None]), LineString(wall.reshape(2, 2)), own),
-            (Arena.open().with_pillars(pillar[None]), Point(pillar[:2]), own + pillar[2]),
+            (Arena(pillars=pillar[None]), Point(pillar[:2]), own + pillar[2]),
         ]:
             hit = World(poses, Profile("test", footprint=footprint), arena).hit_arena
             for pose, found in zip(poses[:, 0], hit, strict=True):

@@ -87,7 +87,7 @@ def _oracle(
 
 def _scene(rng: np.random.Generator) -> Arena:
     walls = rng.uniform(-3, 3, (3, 4))
-    return Arena("scene", walls).with_pillars(np.column_stack([rng.uniform(-3, 3, (2, 2)), rng.uniform(0.05, 0.4, 2)]))
+    return Arena("scene", walls, np.column_stack([rng.uniform(-3, 3, (2, 2)), rng.uniform(0.05, 0.4, 2)]))
 
 
 def _check(ranges: float, expected: float) -> None:

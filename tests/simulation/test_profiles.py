@@ -50,8 +50,8 @@ from triform.types import ConfigurationError, TriformError
         (lambda: Arena("bad", np.full((1, 4), np.nan)), "table of 4 finite columns"),
         (lambda: Arena("bad", np.ones((1, 4))), "no length"),
         (lambda: Arena.room(0.0, 1.0), "0.0 m x 1.0 m"),
-        (lambda: Arena.open().with_pillars([[0, 0, 0]]), "radius of a circle must be positive"),
-        (lambda: Arena.open().with_pillars([0, 0, 1]), "rows of x, y, radius"),
+        (lambda: Arena(pillars=np.array([[0, 0, 0]])), "radius of a circle must be positive"),
+        (lambda: Arena(pillars=np.array([0, 0, 1])), "a table of 3 finite columns"),
     ],
 )
 def test_bad_values_are_refused(make: Callable[[], Any], message: str) -> None:

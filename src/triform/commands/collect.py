@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 
 from rich.console import Console
 
-from triform.commands.terminal import given_options, maps_progress
+from triform.commands.terminal import Terminal, given_options, maps_progress
 from triform.engines import EngineName, open_engine
 
 
@@ -65,8 +65,6 @@ class Collect:
 
             manifest = collect(self.out, config, progress=show, engine=engine)
         size = sum(shard.bytes for shard in manifest.shards) / 1e6
-        console.print(
+        Terminal(console).say(
             f"{config.maps:,} maps in {len(manifest.shards)} shards, {size:,.1f} MB, in {self.out}",
-            soft_wrap=True,
-            markup=False,
         )

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 
 from rich.console import Console, RenderableType
 
+from triform.types import printable
+
 
 class Screen:
     """Shows what there is to show; where that cannot be written any more, it is dropped and nothing else happens.
@@ -27,11 +29,11 @@ class Screen:
 
     def say(self, sentence: str) -> None:
         """Show a sentence."""
-        self.print(sentence)
+        self.print(printable(sentence))
 
     def warn(self, sentence: str) -> None:
         """Show a warning."""
-        self.print(f"warning: {sentence}", "yellow")
+        self.print(f"warning: {printable(sentence)}", "yellow")
 
     @contextmanager
     def losing(self) -> Iterator[None]:

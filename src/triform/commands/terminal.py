@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from triform.report.listener import Advance
+from triform.types import printable
 
 
 class Terminal:
@@ -39,7 +40,7 @@ class Terminal:
 
     def say(self, sentence: str) -> None:
         """Show a sentence."""
-        self.console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+        self.console.print(printable(sentence), markup=False, highlight=False, soft_wrap=True)
 
     def milestone(self, sentence: str) -> None:
         """Show what is done where no progress bar can be drawn."""
@@ -52,10 +53,25 @@ class Terminal:
         for heading in headings:
             table.add_column(Text(heading), justify="right", overflow="fold")
         for row in rows:
-            table.add_row(*map(Text, row))
+            table.add_row(*(Text(printable(cell)) for cell in row))
         self.console.print(table)
         if note:
             self.console.print(Text(note, style="dim"))
+
+
+def on_terminal(name: str, config: type, work: Callable[[Any, Terminal], object]) -> type:
+    """Return a class of options, as a command has it, that does ``work`` and shows it on a console.
+
+    Args:
+        name: Name of the class.
+        config: Options of the work.
+        work: Takes the options, and a listener.
+    """
+
+    def run(self: Any, console: Console) -> None:
+        work(self, Terminal(console))
+
+    return type(name, (config,), {"run": run})
 
 
 def given_options(options: Any, *names: str) -> dict[str, Any]:

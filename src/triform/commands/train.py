@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from rich.console import Console
 
-from triform.commands.terminal import given_options, maps_progress
+from triform.commands.terminal import Terminal, given_options, maps_progress
 from triform.types import ConfigurationError
 
 
@@ -94,8 +94,6 @@ class Train:
                     description=f"training, loss {at.loss:.4f}",
                 ),
             )
-        console.print(
+        Terminal(console).say(
             f"best policy: {best}; to use it:\ntriform export {best}\ntriform evaluate --controller policy:{best}",
-            soft_wrap=True,
-            markup=False,
         )

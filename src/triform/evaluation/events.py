@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from triform.evaluation.placement import sample_clear_addition
 from triform.evaluation.rollout import Trajectory, rollout
-from triform.evaluation.runs import world_seeds
-from triform.simulation import SimulatedTeam, sample_starts
+from triform.simulation import SimulatedTeam, sample_starts, world_seeds
 from triform.types import (
     SENSING_RANGE,
     ConfigurationError,
@@ -34,14 +33,8 @@ MEETING_GAP = 1.9
 #: Length of a push, in units of d*.
 PUSH_LENGTH = 0.7
 
-#: Random streams of the worlds and of the events: (2, 3) for teams that change, (4, 5) for the other events.
-_STREAMS: dict[EventKind, tuple[int, int]] = {
-    "join": (2, 3),
-    "leave": (2, 3),
-    "push": (4, 5),
-    "stuck": (4, 5),
-    "meet": (4, 5),
-}
+#: Random streams of the worlds and of the events.
+_STREAMS: dict[EventKind, tuple[int, int]] = dict.fromkeys(EVENTS, (4, 5)) | {"join": (2, 3), "leave": (2, 3)}
 _MEETING_STREAM = 6
 
 
@@ -71,16 +64,16 @@ class Event:
             ConfigurationError: The text says something else.
         """
         kind, at, seconds = text.partition("@")
-        if kind not in EVENTS:
-            raise ConfigurationError(f"event is {kind!r}; allowed are {', '.join(EVENTS)}")
+        event = cls(kind)  # type: ignore[arg-type]
+        if not at:
+            return event
         try:
-            return cls(kind, float(seconds)) if at else cls(kind)
-        except ValueError as error:
-            if isinstance(error, ConfigurationError):
-                raise
+            time = float(seconds)
+        except ValueError:
             raise ConfigurationError(
                 f"event {text!r} has no time after the @; write seconds, as in {kind}@15"
             ) from None
+        return replace(event, time=time)
 
     @property
     def label(self) -> str:

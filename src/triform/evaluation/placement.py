@@ -7,7 +7,7 @@ import numpy as np
 from triform.simulation import Arena, SimulatedTeam, World, sample_addition
 from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError
 
-#: A robot that joins is given up after so many places that the arena blocks.
+#: Random places that are tried for a robot that joins.
 _DRAWS = 1000
 
 
@@ -17,7 +17,7 @@ def walled_off(first: FloatArray, second: FloatArray, arena: Arena) -> BoolArray
     Args:
         first: Points in the world frame [m], shape (..., 2).
         second: As ``first``.
-        arena: Walls; pillars separate nobody.
+        arena: Walls; pillars separate no robots.
 
     Returns:
         Whether the straight line between the two crosses a wall, shape (...).

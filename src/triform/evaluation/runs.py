@@ -1,4 +1,4 @@
-"""Many runs: the seeds of their worlds, and the chunks in which an engine does them."""
+"""Many runs: where they are computed, and the chunks in which an engine does them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,7 @@ from itertools import pairwise
 from typing import TypeVar
 
 from triform.engines import Engine, EngineName, Report, Task, check_engine, open_engine
-from triform.simulation import world_seeds
 from triform.types import require
-
-__all__ = ["Execution", "by_group", "chunks", "world_seeds"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -25,9 +26,20 @@ from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.rollout import Trajectory, rollout
-from triform.evaluation.runs import chunks, world_seeds
+from triform.evaluation.runs import chunks
+from triform.kernels import kernels_were_compiled
 from triform.robots.gazebo import GazeboBase, GazeboServer, GazeboTeam, braked
-from triform.simulation import Arena, Drive, Profile, SimulatedTeam, World, get_arena, get_profile, sample_starts
+from triform.simulation import (
+    Arena,
+    Drive,
+    Profile,
+    SimulatedTeam,
+    World,
+    get_arena,
+    get_profile,
+    sample_starts,
+    world_seeds,
+)
 from triform.types import SENSING_RANGE, BoolArray, ConfigurationError, Controller, FloatArray, IntArray, require
 
 SimulatorName = Literal["builtin", "gazebo"]
@@ -90,6 +102,8 @@ class Scenario:
         )
         # Looked up once: files may change later, and are not there on the other machines of a cluster.
         robot = self.overrides.applied_to(get_profile(self.profile), self.distance)
+        if self.simulator == "gazebo":
+            robot.require_holonomic("Gazebo")
         object.__setattr__(self, "_robot", robot)
         object.__setattr__(self, "_arena", get_arena(self.arena))
 
@@ -115,16 +129,17 @@ class Scenario:
         """Control periods in one run."""
         return control_steps(self.duration, self.robot.control_period)
 
-    def make_controller(self, controller: str | ControllerSpec = "policy") -> Controller[Any]:
+    def make_controller(self, controller: Controller[Any] | str | ControllerSpec = "policy") -> Controller[Any]:
         """Make a controller for these robots, behind the safety filter unless ``guard`` is off.
+
+        Args:
+            controller: The name of one, or one without its filter; one that has a filter already stays as it is.
 
         Raises:
             TriformError: There is no such controller, or its weights cannot be used.
         """
-        return self.filtered(make_controller(controller, self.distance, footprint=self.robot.footprint.size))
-
-    def filtered(self, controller: Controller[Any]) -> Controller[Any]:
-        """Put the safety filter of this scenario behind a controller; one that has a filter already stays as it is."""
+        if isinstance(controller, str | ControllerSpec):
+            controller = make_controller(controller, self.distance, footprint=self.robot.footprint.size)
         if not self.guard or isinstance(controller, SafetyFilter):
             return controller
         robot, drive, lidar = self.robot, self.drive_limits, self.robot.lidar
@@ -171,11 +186,7 @@ class Scenario:
             ConfigurationError: The arena has no place for a start.
             TriformError: Gazebo is missing or fails, or the controller does.
         """
-        driver = (
-            self.make_controller(controller)
-            if isinstance(controller, str | ControllerSpec)
-            else self.filtered(controller)
-        )
+        driver = self.make_controller(controller)
         robots, event = poses.shape[1], self.event
         numbers = np.arange(len(poses)) if indices is None else np.asarray(indices)
         seeds = world_seeds(robots, seed, numbers, *([] if event is None else [event.world_stream]))
@@ -193,19 +204,19 @@ class Scenario:
         return Trajectory.side_by_side(trajectories), concatenate(tables)
 
     def warm_up(self, poses: FloatArray, controller: Controller[Any]) -> None:
-        """Compile the kernels of a run by a short one, so that the time of later runs is that of simulating.
+        """Compile the kernels of a run by a short one, unless they are kept, so that later runs do not wait for it.
 
         Args:
             poses: Starts, shape (B, N, 3) [m, m, rad].
-            controller: Steers; a copy, if it remembers what it saw.
+            controller: Steers; what it remembers afterwards is what it remembered before.
         """
-        if self.simulator != "builtin":
+        if self.simulator != "builtin" or kernels_were_compiled():
             return
         period = self.robot.control_period
         short = replace(self, duration=math.ceil(WINDOW / period - 1e-9) * period, event=None)
-        # An arena may have no place for these starts, which whoever runs them is told.
+        # An arena may have no place for these starts; the run itself then says so.
         with suppress(ConfigurationError):
-            short.run(poses, controller)
+            short.run(poses, copy.deepcopy(controller))
 
     def make_world(self, poses: FloatArray, seeds: list[np.random.SeedSequence]) -> World:
         """Put robots at ``poses`` (B, N, 3) into B built-in worlds with their own noise.
@@ -265,13 +276,9 @@ class Scenario:
             yield slice(0, len(poses)), self.make_world(poses, seeds)
             return
         self.check_starts(poses)
-        spare = 1 if self.event is not None and self.event.kind == "join" else 0
-        settings: dict[str, Any] = {
-            "drive": self.gazebo_base,
-            "time_step": GAZEBO_STEPS[self.gazebo_base],
-            "spare": spare,
-        }
-        with GazeboServer(self.robot, self.surroundings, poses.shape[1], **settings) as server:
+        spare, step = int(self.event is not None and self.event.kind == "join"), GAZEBO_STEPS[self.gazebo_base]
+        robots, base = poses.shape[1], self.gazebo_base
+        with GazeboServer(self.robot, self.surroundings, robots, drive=base, time_step=step, spare=spare) as server:
             for index in range(len(poses)):
                 run = slice(index, index + 1)
                 yield run, GazeboTeam(server, poses[run], seeds[run])

@@ -13,29 +13,19 @@ from triform.control import Triangulating, TriangulatingLaw
 from triform.control.triangulating import BLOCKING_RADIUS
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
-from triform.experiments.grid import (
-    LARGE_TEAM,
-    LARGE_TEAM_TIME,
-    Cell,
-    Grid,
-    check_teams,
-    flat,
-    measure_grid,
-    spread_out,
-)
+from triform.experiments.cell import Cell
+from triform.experiments.grid import measure_in_folder, open_grid, spread_out
+from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, check_teams, for_team
 from triform.figures.grids import ablation_figure
 from triform.figures.style import save_figure
 from triform.report.listener import SILENT, Listener
-from triform.report.output import prepare_folder, write_json
-from triform.report.page import Section, spell_command, write_pages
-from triform.report.tables import drop_columns, require_parquet
+from triform.report.page import Section, say_written, spell_command, write_pages
+from triform.report.tables import drop_columns
 from triform.simulation.noise import exploration_noise
 from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError
 
 #: Name of all files.
 _NAME = "ablation"
-_ALWAYS_SAID = {"runs", "seed"}
-_UNRECORDED = ("output", "execution")
 #: Moments farther apart than this have errors of their own [s].
 _ERROR_PERIOD = 1e-3
 
@@ -167,20 +157,19 @@ class AblateConfig:
     @property
     def cells(self) -> list[Cell]:
         """What is run, variant by variant."""
-        longer = replace(self.scenario, duration=LARGE_TEAM_TIME * self.scenario.duration)
         cells = []
         for label, variant in VARIANTS.items():
             controller = variant.controller(self.scenario.distance)
             for profile, robots in self.columns:
-                scenario = longer if robots > LARGE_TEAM else self.scenario
+                scenario = for_team(self.scenario, robots)
                 name, labels = f"{label}, {robots} robots, {profile}", {"label": label, "profile": profile}
-                cells.append(Cell(labels, scenario, controller, robots, self.runs, self.seed, name))
+                cells.append(Cell(labels, scenario, controller, robots, self.runs, self.seed, name, name))
         return cells
 
     @property
     def command(self) -> str:
         """The command that makes the ablation again."""
-        return spell_command(["triform", "ablate"], self, _ALWAYS_SAID, _UNRECORDED)
+        return spell_command(["triform", "ablate"], self)
 
 
 def run_ablate(config: AblateConfig, listener: Listener = SILENT) -> list[Path]:
@@ -198,19 +187,16 @@ def run_ablate(config: AblateConfig, listener: Listener = SILENT) -> list[Path]:
     Raises:
         TriformError: The folder cannot be written or holds something else.
     """
-    prepare_folder(config.output)
-    require_parquet()
-    grid = Grid(config.cells, config.output / f"{_NAME}.parquet")
-    measure_grid(grid, config.execution, lambda seconds: _write(config, grid, seconds), listener)
-    summaries = grid.summaries()
+    grid = open_grid(config.output, _NAME, config.cells)
+    variants = {label: asdict(variant) | {"law": asdict(variant.law)} for label, variant in VARIANTS.items()}
+    summaries = measure_in_folder(config, _NAME, grid, listener, {"variants": variants})
     labels = list(dict.fromkeys(cell.labels["label"] for cell in grid.cells))
     save_figure(ablation_figure(summaries, labels), config.output / f"{_NAME}.png")
     section = make_section(config, summaries)
     unshown = [heading for heading in section.headings if heading.startswith(_UNSHOWN)]
     listener.table(section.title, *drop_columns(section.headings, section.rows, unshown))
     pages = write_pages(config.output, "What the terms of the triangulating law are for", [section], _NAME)
-    for path in [*(config.output / name for name in (*section.files, section.image)), *pages]:
-        listener.say(f"wrote {path}")
+    say_written(listener, config.output, [section], pages)
     return pages
 
 
@@ -237,14 +223,3 @@ def make_section(config: AblateConfig, summaries: Sequence[dict[str, Any]]) -> S
     return Section(
         _NAME, "The law without each of its terms", text, config.command, headings, rows, f"{_NAME}.png", files
     )
-
-
-def _write(config: AblateConfig, grid: Grid, wall_seconds: float) -> None:
-    """Write the summaries of everything that is done."""
-    values = {
-        "config": {name: value for name, value in flat(config).items() if name not in _UNRECORDED},
-        "wall_seconds": round(wall_seconds, 3),
-        "variants": {label: asdict(variant) | {"law": asdict(variant.law)} for label, variant in VARIANTS.items()},
-        "cells": grid.summaries(),
-    }
-    write_json(config.output / f"{_NAME}.json", values)

@@ -10,20 +10,12 @@ from typing import Any
 from triform.control import ControllerSpec
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
-from triform.experiments.grid import (
-    LARGE_TEAM,
-    LARGE_TEAM_TIME,
-    Cell,
-    Grid,
-    check_teams,
-    flat,
-    measure_grid,
-    spread_out,
-)
+from triform.experiments.cell import Cell
+from triform.experiments.grid import Grid, measure_in_folder, open_grid, spread_out
+from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, check_teams, for_team
 from triform.report.listener import SILENT, Listener
-from triform.report.output import prepare_folder, write_json
-from triform.report.page import Section, spell_command, write_pages
-from triform.report.tables import drop_columns, require_parquet
+from triform.report.page import Section, say_written, spell_command, write_pages
+from triform.report.tables import drop_columns
 from triform.timing.step_time import TEAM, network_size, record_views, step_times, what_it_sees
 from triform.types import require
 
@@ -31,9 +23,11 @@ from triform.types import require
 _NAME = "compare"
 #: The profile of the second group of team sizes, like the paper's real robots.
 REAL_PROFILE = "hardware"
-_ALWAYS_SAID = {"runs", "seed"}
-_UNRECORDED = ("output", "execution")
 
+_CONTROLLERS = (
+    "policy:default", "policy:short", "policy:cnn", "gnn:gnn", "policy:paper", "policy:large", "scan-pipeline",
+    "scan-triangulating", "expert", "expert-sensed", "expert-odd", "triangulating",
+)  # fmt: skip
 #: Title, key in a summary, format and explanation of the tables that follow the first one.
 _TABLES = (
     ("Success", "success", "%", "Share of runs whose formation error, averaged over the last 5 s, is below 10 %."),
@@ -61,25 +55,7 @@ class CompareConfig:
         execution: Where the runs are computed.
     """
 
-    controllers: tuple[ControllerSpec, ...] = tuple(
-        map(
-            ControllerSpec.parse,
-            (
-                "policy:default",
-                "policy:short",
-                "policy:cnn",
-                "gnn:gnn",
-                "policy:paper",
-                "policy:large",
-                "scan-pipeline",
-                "scan-triangulating",
-                "expert",
-                "expert-sensed",
-                "expert-odd",
-                "triangulating",
-            ),
-        )
-    )
+    controllers: tuple[ControllerSpec, ...] = tuple(map(ControllerSpec.parse, _CONTROLLERS))
     robots: tuple[int, ...] = (5, 7, 9, 11, 13, 25, 50, 100)
     hardware_robots: tuple[int, ...] = (4, 5, 7, 9)
     runs: int = 100
@@ -116,13 +92,11 @@ class CompareConfig:
     @property
     def command(self) -> str:
         """The command that makes the comparison again."""
-        return spell_command(["triform", "compare"], self, _ALWAYS_SAID, _UNRECORDED)
+        return spell_command(["triform", "compare"], self)
 
     def _cell(self, controller: ControllerSpec, profile: str, robots: int) -> Cell:
-        large, label = robots > LARGE_TEAM, controller.label
-        duration = self.scenario.duration * (LARGE_TEAM_TIME if large else 1)
-        scenario = replace(self.scenario, profile=profile, duration=duration)
-        runs = self.large_runs if large else self.runs
+        label, scenario = controller.label, for_team(replace(self.scenario, profile=profile), robots)
+        runs = self.large_runs if robots > LARGE_TEAM else self.runs
         name, labels = f"{label}, {robots} robots, {profile}", {"label": label, "profile": profile}
         return Cell(labels, scenario, controller, robots, runs, self.seed, name, label)
 
@@ -158,19 +132,21 @@ def run_compare(config: CompareConfig, listener: Listener = SILENT) -> list[Path
     Raises:
         TriformError: The folder cannot be written or holds something else, or nothing can be run.
     """
-    prepare_folder(config.output)
-    require_parquet()
-    grid = Grid(config.cells, config.output / f"{_NAME}.parquet")
+    grid = open_grid(config.output, _NAME, config.cells)
     with listener.progress("timing steps", 1):
         costs = find_costs(config, grid)
-    measure_grid(grid, config.execution, lambda seconds: _write(config, grid, costs, seconds), listener)
-    sections = list_sections(config, grid.summaries(), costs, grid.skipped)
+    controllers = [{"label": label} | asdict(each) for label, each in costs.items()]
+
+    def write(summaries: Sequence[dict[str, Any]]) -> tuple[list[Section], list[Path]]:
+        sections = list_sections(config, summaries, costs, grid.skipped)
+        return sections, write_pages(config.output, "Controllers side by side", sections, _NAME)
+
+    more = {"controllers": controllers, "skipped": grid.skipped}
+    sections, pages = write(measure_in_folder(config, _NAME, grid, listener, more, on_summaries=write))
     # The other tables are too wide for many terminals.
     for section in sections[:2]:
         listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
-    pages = [config.output / f"{_NAME}.md", config.output / f"{_NAME}.html"]
-    for path in [*(config.output / name for name in sections[0].files), *pages]:
-        listener.say(f"wrote {path}")
+    say_written(listener, config.output, sections, pages)
     return pages
 
 
@@ -242,18 +218,3 @@ def _section(config: CompareConfig, title: str, text: str, headings: list[str], 
     key = title.lower().replace(" ", "-")
     files = [f"{_NAME}.json", f"{_NAME}.parquet"]
     return Section(key, title, text, config.command, ["controller", *headings], rows, "", files)
-
-
-def _write(config: CompareConfig, grid: Grid, costs: Mapping[str, Cost], wall_seconds: float) -> None:
-    """Write the summaries and the page of everything that is done."""
-    summaries = grid.summaries()
-    values = {
-        "config": {name: value for name, value in flat(config).items() if name not in _UNRECORDED},
-        "wall_seconds": round(wall_seconds, 3),
-        "controllers": [{"label": label} | asdict(each) for label, each in costs.items()],
-        "cells": summaries,
-        "skipped": grid.skipped,
-    }
-    write_json(config.output / f"{_NAME}.json", values)
-    sections = list_sections(config, summaries, costs, grid.skipped)
-    write_pages(config.output, "Controllers side by side", sections, _NAME)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -15,23 +16,15 @@ from triform.evaluation.metrics import RunTable
 from triform.evaluation.overrides import Overrides
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
-from triform.experiments.grid import (
-    LARGE_TEAM,
-    LARGE_TEAM_TIME,
-    Cell,
-    Grid,
-    check_teams,
-    flat,
-    measure_grid,
-    read_labels,
-)
-from triform.figures.grids import FailedRun, Panel, conditions_figure, failures_figure
+from triform.experiments.cell import Cell
+from triform.experiments.grid import Grid, measure_in_folder, open_grid, read_labels
+from triform.experiments.settings import check_teams, for_team
+from triform.figures.grids import FailedRun, conditions_figure, failures_figure
 from triform.figures.runs import Scene
 from triform.figures.style import save_figure
 from triform.report.listener import SILENT, Listener
-from triform.report.output import prepare_folder, write_json
-from triform.report.page import Section, spell_command, write_pages
-from triform.report.tables import drop_columns, format_value, require_parquet
+from triform.report.page import Section, say_written, spell_command, write_pages
+from triform.report.tables import drop_columns, format_value
 from triform.simulation import ARENAS, FOOTPRINTS, Footprint
 from triform.types import BoolArray, require
 
@@ -43,9 +36,6 @@ CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 
 #: Name of all files but the drawing of failed runs.
 _NAME = "conditions"
-#: Said in every command even where they are the defaults, because a reader asks for them first.
-_ALWAYS_SAID = {"controller", "runs", "seed"}
-_UNRECORDED = ("output", "execution", "failures")
 #: Columns of the page that a terminal has no room for.
 _UNSHOWN = ("interval", "median error", "closest")
 
@@ -134,7 +124,7 @@ class ConditionsConfig:
     def command(self, condition: Condition | None = None) -> str:
         """Return the command that runs one condition again, or all that were asked for."""
         config = self if condition is None else replace(self, which=(condition,))
-        return spell_command(["triform", "conditions"], config, _ALWAYS_SAID, ("output", "execution"))
+        return spell_command(["triform", "conditions"], config)
 
     def list_cells(self, shown: set[str]) -> list[Cell]:
         """Return the cells of the conditions ``shown``, in the order in which they are shown."""
@@ -150,8 +140,7 @@ class ConditionsConfig:
         """Return the scenarios and team sizes of one value of a condition."""
         base = self.scenario
         if condition == "team-size":
-            longer = LARGE_TEAM_TIME if value > LARGE_TEAM else 1
-            return [(replace(base, duration=longer * base.duration), value)]
+            return [(for_team(base, value), value)]
         if condition == "event":
             kind: EventKind = value
             sizes = (sum(MEETING),) if kind == "meet" else self.robots
@@ -168,7 +157,7 @@ class ConditionsConfig:
         if condition == "team-size":
             name = f"team of {robots}"
         labels, wanted = {"condition": condition, "label": label}, condition in self.which
-        return Cell(labels, scenario, self.controller, robots, self.runs, self.seed, name, wanted=wanted)
+        return Cell(labels, scenario, self.controller, robots, self.runs, self.seed, name, name, wanted=wanted)
 
 
 def has_formed(table: RunTable) -> BoolArray:
@@ -177,16 +166,16 @@ def has_formed(table: RunTable) -> BoolArray:
 
 
 def failed_runs(grid: Grid, most: int) -> list[FailedRun]:
-    """Run again the first failed run of at most so many cells, those of all conditions in turns."""
+    """Run again the first failed run of at most ``most`` cells, those of all conditions in turns."""
     failing: dict[str, tuple[int, Cell, int]] = {}
-    ranks = dict.fromkeys(SWEEPS, 0)
+    ranks: Counter[str] = Counter()
     for cell in grid.done:
         condition, table = cell.labels["condition"], grid.table(cell)
         failed = np.flatnonzero(~has_formed(table))
-        digest = str(grid.settings(cell))
+        digest = grid.digest(cell)
         if len(failed) and digest not in failing:
-            failing[digest] = (ranks[condition], cell, int(table["run"][failed[0]]))  # type: ignore[index]
-            ranks[condition] += 1  # type: ignore[index]
+            failing[digest] = (ranks[condition], cell, int(table["run"][failed[0]]))
+            ranks[condition] += 1
     drawn = []
     for _, cell, run in sorted(failing.values(), key=lambda entry: entry[0])[:most]:
         trajectory, _ = cell.run(run, 1, grid.controller(cell))
@@ -211,38 +200,24 @@ def run_conditions(config: ConditionsConfig, listener: Listener = SILENT) -> lis
     Raises:
         TriformError: The folder cannot be written or holds something else, or nothing can be run.
     """
-    prepare_folder(config.output)
-    require_parquet()
-    path = config.output / f"{_NAME}.parquet"
-    grid = Grid(config.list_cells({*config.which, *read_labels(path, "condition")}), path)
-    measure_grid(grid, config.execution, lambda seconds: _write(config, grid, seconds), listener)
+    shown = {*config.which, *read_labels(config.output / f"{_NAME}.parquet", "condition")}
+    grid = open_grid(config.output, _NAME, config.list_cells(shown))
+    more, without = {"skipped": grid.skipped}, ("output", "failures")
+    summaries = measure_in_folder(config, _NAME, grid, listener, more, without)
     with listener.progress("drawing", 1):
         failures = failed_runs(grid, config.failures)
-        panels: dict[str, Panel] = {name: Panel(sweep.heading, tuple(sweep.values)) for name, sweep in SWEEPS.items()}
-        save_figure(conditions_figure(grid.summaries(), panels), config.output / f"{_NAME}.png")
+        headings: dict[str, str] = {name: sweep.heading for name, sweep in SWEEPS.items()}
+        save_figure(conditions_figure(summaries, headings), config.output / f"{_NAME}.png")
         if failures:
             save_figure(failures_figure(failures), config.output / "failures.png")
     privileged = grid.controller(grid.cells[0]).privileged
-    sections = list_sections(config, grid.summaries(), grid.skipped, len(failures), privileged)
+    sections = list_sections(config, summaries, grid.skipped, len(failures), privileged)
     for section in sections:
         if section.rows:
             listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
     pages = write_pages(config.output, "Under many conditions", sections, _NAME)
-    names = [*sections[0].files, *(section.image for section in sections if section.image)]
-    for written in [*(config.output / name for name in names), *pages]:
-        listener.say(f"wrote {written}")
+    say_written(listener, config.output, sections, pages)
     return pages
-
-
-def _write(config: ConditionsConfig, grid: Grid, wall_seconds: float) -> None:
-    """Write the summaries of everything that is done."""
-    values = {
-        "config": {name: value for name, value in flat(config).items() if name not in _UNRECORDED},
-        "wall_seconds": round(wall_seconds, 3),
-        "cells": grid.summaries(),
-        "skipped": grid.skipped,
-    }
-    write_json(config.output / f"{_NAME}.json", values)
 
 
 #: Heading, key in a summary and format of the columns after value, robots, runs and intervals.

@@ -9,7 +9,7 @@ from pathlib import Path
 from triform.control import POLICY, ControllerSpec
 from triform.evaluation.metrics import summarise
 from triform.evaluation.scenario import Scenario
-from triform.experiments.grid import check_teams, describe, flat
+from triform.experiments.settings import check_teams, describe, flat
 from triform.figures.animation import animate
 from triform.figures.runs import Scene, run_figure
 from triform.figures.style import save_figure
@@ -68,7 +68,7 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     poses = scenario.sample_starts(config.robots, 1, config.seed, first=config.index)
     bar = listener.progress(f"{config.robots} robots, {scenario.duration:g} s", scenario.steps * config.robots)
     with limit_threads(config.threads), bar as advance:
-        scenario.warm_up(poses, scenario.make_controller(config.controller))
+        scenario.warm_up(poses, controller)
         began = time.perf_counter()
         trajectory, table = scenario.run(poses, controller, config.seed, [config.index], advance)
     took = time.perf_counter() - began
@@ -82,14 +82,11 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
     with listener.progress("drawing", 1):
         figure = run_figure(trajectory, scene, f"{config.robots} robots, controller {label}")
-        settings = {name: value for name, value in flat(config).items() if name not in ("output", "threads")}
+        settings = flat(config, without=("output", "threads")) | describe(scenario, controller)
         paths = [
             save_figure(figure, config.output / "demo.png"),
             animate(trajectory, scene, config.output / "demo.gif"),
-            write_json(
-                config.output / "demo.json",
-                {"config": settings | describe(scenario, controller), "wall_seconds": took, "results": [result]},
-            ),
+            write_json(config.output / "demo.json", {"config": settings, "wall_seconds": took, "results": [result]}),
         ]
     for path in paths:
         listener.say(f"wrote {path}")

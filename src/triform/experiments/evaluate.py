@@ -12,15 +12,12 @@ from triform.control import POLICY, ControllerSpec
 from triform.engines import Engine
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
-from triform.experiments.grid import Cell, Grid, Starts, check_teams, describe, flat, measure_grid
+from triform.experiments.cell import Cell, Starts
+from triform.experiments.grid import Grid, measure_grid
+from triform.experiments.settings import check_teams, describe, flat
 from triform.report.listener import SILENT, Listener
-from triform.report.output import prepare_file, write_json
-from triform.report.results import Evaluation, show_results
-from triform.report.tables import require_parquet, write_parquet
+from triform.report.results import Evaluation, ResultFiles, show_results
 from triform.simulation import load_starts
-
-#: Settings that say nothing about results.
-_UNRECORDED = ("json", "parquet")
 
 
 @dataclass(frozen=True)
@@ -54,13 +51,6 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         check_teams(self.robots, self.runs, self.seed)
-
-    @property
-    def per_run_file(self) -> Path | None:
-        """Where one row per run goes; ``None`` if nothing is to be kept."""
-        if self.parquet is None and self.json is not None:
-            return self.json.with_suffix(".parquet")
-        return self.parquet
 
     @property
     def cells(self) -> list[Cell]:
@@ -110,8 +100,8 @@ def evaluate(
     """
     cells = config.cells
     grid = Grid(cells)
-    described = flat(config) | describe(config.scenario, grid.controller(grid.cells[0]))
-    evaluation = Evaluation({name: value for name, value in described.items() if name not in _UNRECORDED})
+    options = flat(config, without=("json", "parquet"))
+    evaluation = Evaluation(options | describe(config.scenario, grid.controller(grid.cells[0])))
 
     def keep(seconds: float) -> None:
         evaluation.tables = [grid.table(cell) for cell in grid.done]
@@ -138,20 +128,9 @@ def run_evaluate(config: EvaluateConfig, listener: Listener = SILENT) -> Evaluat
     Raises:
         TriformError: A file cannot be written, which is found out before the first run, or as ``evaluate``.
     """
-    files = [path for path in (config.json, config.per_run_file) if path is not None]
-    for path in files:
-        prepare_file(path)
-    if config.per_run_file is not None:
-        require_parquet()
-
-    def keep(evaluation: Evaluation) -> None:
-        if config.json is not None:
-            write_json(config.json, evaluation.as_json())
-        if config.per_run_file is not None:
-            write_parquet(config.per_run_file, evaluation.runs)
-
-    evaluation = evaluate(config, listener, keep)
+    files = ResultFiles(config.json, config.parquet)
+    evaluation = evaluate(config, listener, files.write)
     show_results(evaluation, config.controller.label, listener)
-    for path in files:
+    for path in files.paths:
         listener.say(f"wrote {path}")
     return evaluation

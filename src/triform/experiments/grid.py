@@ -2,120 +2,31 @@
 
 from __future__ import annotations
 
-import copy
-import hashlib
-import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from triform.control import ControllerSpec, control_steps
+from triform.control import ControllerSpec
 from triform.engines import Engine, Report
-from triform.evaluation.events import Event
 from triform.evaluation.metrics import RunTable, concatenate, summarise, wilson_interval
-from triform.evaluation.rollout import Trajectory
 from triform.evaluation.runs import Execution, by_group, chunks
-from triform.evaluation.scenario import Scenario
+from triform.experiments.cell import Cell
+from triform.experiments.settings import digest, flat
 from triform.geometry.cells import SMALL_TEAM
-from triform.kernels import kernels_were_compiled
 from triform.report.listener import SILENT, Listener
-from triform.report.output import plain
-from triform.report.tables import format_value, read_parquet, write_parquet
+from triform.report.output import prepare_folder, write_json
+from triform.report.tables import format_value, read_parquet, require_parquet, write_parquet
 from triform.simulation import sample_starts
 from triform.threads import limit_threads
-from triform.types import ConfigurationError, Controller, FloatArray, IntArray, TriformError
-from triform.version import __version__
+from triform.types import ConfigurationError, Controller, TriformError
 
-#: Teams of more robots than this get so many times the duration, for they have farther to go.
-LARGE_TEAM = 13
-LARGE_TEAM_TIME = 3
 #: Columns of the table of runs behind the labels: team size at the start, and digest of all settings.
 _KEYS = ("team", "settings")
-
-
-@dataclass(frozen=True)
-class Starts:
-    """Explicit starts of one team size.
-
-    Attributes:
-        indices: Index of every run, on which its noise depends, shape (B,).
-        poses: Starts, shape (B, N, 3) [m, m, rad].
-    """
-
-    indices: IntArray
-    poses: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Cell:
-    """One controller with one team size in one scenario: what is run many times.
-
-    Attributes:
-        labels: What tells the cell from others in a table, by column.
-        scenario: Everything about a run but its start and controller.
-        controller: Who steers: the name of a controller, or a controller.
-        robots: Robots at the start.
-        runs: Number of runs.
-        seed: A run is a function of scenario, team size, seed and index alone.
-        name: How people tell the cell from others.
-        group: Cells of a group are left out together, if the controller of one of them cannot be made.
-        starts: Explicit starts instead of random ones.
-        wanted: Whether the cell is to be run; if not, only results that the file holds are shown.
-    """
-
-    labels: Mapping[str, str]
-    scenario: Scenario
-    controller: ControllerSpec | Controller[Any]
-    robots: int
-    runs: int
-    seed: int
-    name: str
-    group: str = ""
-    starts: Starts | None = None
-    wanted: bool = True
-
-    @property
-    def key(self) -> tuple[str | int, ...]:
-        """Values of the labels, and the team size."""
-        return (*self.labels.values(), self.robots)
-
-    @property
-    def work(self) -> int:
-        """Robots times control periods of all runs."""
-        return self.scenario.steps * self.runs * self.robots
-
-    def run(
-        self, first: int, count: int, controller: Controller[Any], on_step: Report | None = None
-    ) -> tuple[Trajectory, RunTable]:
-        """Run ``count`` runs from number ``first`` on, all at once; return what happened, and one row per run."""
-        if self.starts is None:
-            indices = np.arange(first, first + count)
-            poses = self.scenario.sample_starts(self.robots, count, self.seed, first)
-        else:
-            some = slice(first, first + count)
-            indices, poses = self.starts.indices[some], self.starts.poses[some]
-        trajectory, table = self.scenario.run(poses, controller, self.seed, indices, on_step)
-        return trajectory, {"run": indices} | table
-
-    def check(self) -> None:
-        """Find out now what a run would stumble over after hours.
-
-        Raises:
-            ConfigurationError: A time is no whole number of control periods, or the arena has no place for a start.
-        """
-        scenario, period = self.scenario, self.scenario.robot.control_period
-        control_steps(scenario.duration, period)
-        if scenario.event is not None and scenario.event.interrupts:
-            control_steps(scenario.event.time, period)
-        if self.starts is not None:
-            scenario.check_starts(self.starts.poses)
-        elif scenario.arena != "open":
-            scenario.check_starts(scenario.sample_starts(self.robots, self.runs, self.seed))
 
 
 @dataclass(frozen=True)
@@ -178,8 +89,8 @@ class Grid:
                 self._take(cell)
             except ConfigurationError as error:
                 if cell.wanted:
-                    self.skipped.setdefault(cell.group or cell.name, str(error))
-        self.cells = [cell for cell in self.cells if (cell.group or cell.name) not in self.skipped]
+                    self.skipped.setdefault(cell.group, str(error))
+        self.cells = [cell for cell in self.cells if cell.group not in self.skipped]
         if not any(cell.wanted for cell in self.cells):
             raise TriformError(f"nothing to run: {'; '.join(dict.fromkeys(self.skipped.values()))}")
 
@@ -205,9 +116,9 @@ class Grid:
         """Return the controller of a cell, with the safety filter of its scenario."""
         return self._controllers[_kind(cell)]
 
-    def settings(self, cell: Cell) -> dict[str, Any]:
-        """Return all that decides about the runs of a cell, plain JSON values."""
-        return self._settings[cell]
+    def digest(self, cell: Cell) -> str:
+        """Return a short name of all that decides about the runs of a cell."""
+        return self._digests[cell]
 
     def table(self, cell: Cell) -> RunTable:
         """Return one row per run of a cell that is done."""
@@ -237,7 +148,7 @@ class Grid:
         for cell in kinds.values():
             robots = min(cell.robots, SMALL_TEAM + 1)
             poses = sample_starts(robots, 1, cell.seed, distance=cell.scenario.distance)
-            cell.scenario.warm_up(poses, copy.deepcopy(self.controller(cell)))
+            cell.scenario.warm_up(poses, self.controller(cell))
 
     def summaries(self) -> list[dict[str, Any]]:
         """Return the labels, measures, Wilson intervals and settings of every cell that is done."""
@@ -246,11 +157,8 @@ class Grid:
     def _take(self, cell: Cell) -> None:
         kind = _kind(cell)
         if kind not in self._controllers:
-            scenario, given = cell.scenario, cell.controller
-            self._controllers[kind] = (
-                scenario.make_controller(given) if isinstance(given, ControllerSpec) else scenario.filtered(given)
-            )
-        self._settings[cell] = describe_runs(cell, self._controllers[kind])
+            self._controllers[kind] = cell.scenario.make_controller(cell.controller)
+        self._settings[cell] = cell.settings(self._controllers[kind])
         self._digests[cell] = digest(self._settings[cell])
         if cell.wanted and not self.is_done(cell):
             cell.check()
@@ -275,7 +183,9 @@ class Grid:
             **cell.labels,
             "robots": cell.robots,
             **summarise(table),
-            **intervals(table),
+            **{
+                f"{rate}_interval": wilson_interval(int(table[rate].sum()), cell.runs) for rate in ("strict", "success")
+            },
             "collisions": int(table["collision"].sum()),
             "arena_hits": int(table["hit_arena"].sum()),
             "settings": self._settings[cell],
@@ -289,7 +199,7 @@ def measure_grid(
     listener: Listener = SILENT,
     engine: Engine | None = None,
     title: str = "measuring",
-) -> float:
+) -> None:
     """Run all cells of a grid that wait, with progress.
 
     Args:
@@ -299,14 +209,10 @@ def measure_grid(
         listener: Hears of progress, of what is left out and of every cell that is done.
         engine: The engine, if it is open already.
         title: What a progress bar says.
-
-    Returns:
-        Seconds spent.
     """
     for name, reason in grid.skipped.items():
         listener.say(f"left out: {name}: {reason}")
-    if not kernels_were_compiled():
-        grid.warm_up()
+    grid.warm_up()
     began = time.perf_counter()
     with (
         limit_threads(execution.threads),
@@ -314,72 +220,56 @@ def measure_grid(
         listener.progress(title, sum(cell.work for cell in grid.waiting)) as advance,
     ):
         for cell in grid.measure(where, advance):
-            on_cell(time.perf_counter() - began)
-            listener.milestone(f"done after {time.perf_counter() - began:.1f} s: {cell.name}")
+            seconds = time.perf_counter() - began
+            on_cell(seconds)
+            listener.milestone(f"done after {seconds:.1f} s: {cell.name}")
     on_cell(time.perf_counter() - began)
-    return time.perf_counter() - began
 
 
-def flat(options: Any) -> dict[str, Any]:
-    """Return nested options as one flat table of plain values, as the command line spells them.
+def open_grid(folder: Path, name: str, cells: Sequence[Cell]) -> Grid:
+    """Return the grid of an experiment that keeps its runs in ``folder``, from which it goes on where it was stopped.
 
-    A controller becomes ``controller`` and ``weights``, an event its label.
+    Raises:
+        TriformError: The folder cannot be written or holds something else, or nothing can be run.
     """
-    found: dict[str, Any] = {}
-    for each in fields(options):
-        value = getattr(options, each.name)
-        if isinstance(value, ControllerSpec):
-            found |= {"controller": value.name, "weights": value.weights}
-        elif isinstance(value, Event):
-            found[each.name] = value.label
-        elif isinstance(value, Execution):
-            continue
-        elif is_dataclass(value):
-            found |= flat(value)
-        elif isinstance(value, tuple):
-            found[each.name] = [item.label if isinstance(item, ControllerSpec) else item for item in value]
-        else:
-            found[each.name] = value
-    return found
+    prepare_folder(folder)
+    require_parquet()
+    return Grid(cells, folder / f"{name}.parquet")
 
 
-def describe(scenario: Scenario, controller: Controller[Any]) -> dict[str, Any]:
-    """Return a scenario and its controller as plain JSON values, with what their names stand for."""
-    return flat(scenario) | {
-        "controller_description": controller.description,
-        "profile_description": asdict(scenario.robot),
-        "triform": __version__,
-    }
+def measure_in_folder(
+    config: Any,
+    name: str,
+    grid: Grid,
+    listener: Listener,
+    more: Mapping[str, Any],
+    without: Collection[str] = ("output",),
+    on_summaries: Callable[[list[dict[str, Any]]], object] = len,
+) -> list[dict[str, Any]]:
+    """Run all cells of a grid that wait; whenever one is done, write the summaries of all that are.
 
+    Args:
+        config: Options of the experiment, with ``output`` and ``execution``.
+        name: Name of the file, without its ending.
+        grid: The cells.
+        listener: Hears of progress.
+        more: What the file holds besides options and summaries.
+        without: Options that say nothing about results.
+        on_summaries: Called with the summaries after they are written.
 
-def describe_runs(cell: Cell, controller: Controller[Any]) -> dict[str, Any]:
-    """Return all that decides about the runs of a cell as plain JSON values, equal for cells that run the same."""
-    scenario = cell.scenario
-    described = describe(scenario, controller)
-    chosen = ("controller_description", "profile_description", "arena", "distance", "duration")
-    settings: dict[str, Any] = {name: described[name] for name in chosen}
-    settings |= {"robots": cell.robots, "runs": cell.runs, "seed": cell.seed, "triform": __version__}
-    if scenario.simulator != "builtin":
-        settings |= {"team": scenario.simulator, "drive": scenario.gazebo_base}
-    if scenario.event is not None:
-        settings |= {"event": asdict(scenario.event)}
-    if cell.starts is not None:
-        settings |= {"starts": hashlib.sha256(np.ascontiguousarray(cell.starts.poses).tobytes()).hexdigest()}
-    plainly: dict[str, Any] = plain(settings)
-    return plainly
+    Returns:
+        What ``Grid.summaries`` returns in the end.
+    """
+    summaries: list[dict[str, Any]] = []
 
+    def keep(seconds: float) -> None:
+        summaries[:] = grid.summaries()
+        options = {"config": flat(config, without), "wall_seconds": round(seconds, 3)}
+        write_json(config.output / f"{name}.json", {**options, **more, "cells": summaries})
+        on_summaries(summaries)
 
-def digest(settings: dict[str, Any]) -> str:
-    """Return a short name of plain JSON values, which other values do not have."""
-    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def intervals(table: RunTable) -> dict[str, tuple[float, float]]:
-    """Return Wilson's 95 % intervals of the strict and the success rate of some runs."""
-    return {
-        f"{measure}_interval": wilson_interval(int(table[measure].sum()), len(table["run"]))
-        for measure in ("strict", "success")
-    }
+    measure_grid(grid, config.execution, keep, listener)
+    return summaries
 
 
 def read_labels(path: Path, column: str) -> set[str]:
@@ -393,23 +283,6 @@ def spread_out(
     """Return one measure of a row, formatted, for every column (profile, robots); a dash for what is not done."""
     own = {(each["profile"], each["robots"]): each[key] for each in summaries if each["label"] == label}
     return [format_value(own.get(column), kind) for column in columns]
-
-
-def check_teams(robots: Sequence[int], runs: int, seed: int, least: int = 1) -> None:
-    """Refuse team sizes, runs and seeds that no experiment has.
-
-    Raises:
-        ConfigurationError: There is no team size or one below ``least``, no run, or a negative seed.
-    """
-    problems = [
-        (len(robots) == 0, "robots is empty; at least one team size is needed"),
-        *((size < least, f"robots is {size}; a team has at least {least} robot{'s' * (least > 1)}") for size in robots),
-        (runs < 1, f"runs is {runs}; at least 1 is needed"),
-        (seed < 0, f"seed is {seed}; it must not be negative"),
-    ]
-    for bad, sentence in problems:
-        if bad:
-            raise ConfigurationError(sentence)
 
 
 def _kind(cell: Cell) -> Any:

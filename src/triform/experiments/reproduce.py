@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from triform.control import POLICY, ControllerSpec, control_steps
 from triform.engines import Engine
@@ -20,10 +21,10 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.compare import REAL_PROFILE
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.experiments.grid import check_teams, describe, flat
+from triform.experiments.settings import check_teams, describe, flat
 from triform.figures.paper import figure_2, figure_9
 from triform.figures.runs import Scene, TeamChange, figure_3, figure_4, figure_5
-from triform.figures.style import Figure, save_figure
+from triform.figures.style import save_figure
 from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_folder, write_json
 from triform.report.page import Section, read_sections, spell_command, write_pages
@@ -43,18 +44,16 @@ from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, PrivilegedView, require
 
 What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "all"]
-KEYS = ["table1", "fig2", "fig3", "fig4", "fig5", "fig9"]
+KEYS = [key for key in get_args(What) if key != "all"]
 SIZES = tuple(paper.SUCCESS)
 #: Team sizes of Fig. 2.
 SNAPSHOT_SIZES = (9, 13)
 #: Team size of the table of Fig. 5, and of the shown teams to which a robot is added and from which one is removed.
 _CHANGED, _SHOWN = 7, {"join": 6, "leave": 7}
-#: Fig. 5 shows the first of so many runs that qualifies.
+#: Fig. 5 shows the first qualifying run of this many.
 _CANDIDATES = 10
 #: What the paper calls these events.
 _CHANGES: dict[EventKind, str] = {"join": "addition", "leave": "removal"}
-#: Said in every command even where they are the defaults, because a reader asks for them first.
-_ALWAYS_SAID = {"controller", "runs", "seed"}
 #: What the paper measured with its real robots, as results name it.
 REAL_PUBLISHED = {
     "robots": paper.REAL_ROBOTS,
@@ -108,7 +107,7 @@ class ReproduceConfig:
 
     def command(self, key: str) -> str:
         """Return the command that makes result ``key`` again: every option that matters to it and is no default."""
-        return spell_command(["triform", "reproduce", key], self, _ALWAYS_SAID, ("what", "execution"))
+        return spell_command(["triform", "reproduce", key], self, never=("what",))
 
 
 @dataclass(frozen=True)
@@ -171,7 +170,7 @@ def _write(config: ReproduceConfig, key: str, result: Result) -> Section:
     write_parquet(config.output / f"{key}.parquet", result.runs)
     files = [f"{key}.json", f"{key}.parquet"]
     section = Section(key, result.title, result.text, config.command(key), *result.table, image, files)
-    write_json(config.output / f"{key}.json", result.values | {"section": section.as_json()})
+    write_json(config.output / f"{key}.json", result.values | {"section": asdict(section)})
     return section
 
 
@@ -184,20 +183,12 @@ class _Reproduction:
         self.engine = engine
         scenario = config.scenario
         self.scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
-        makers: dict[str, Callable[[], Result]] = {
-            "table1": self.table_1,
-            "fig2": self.figure_2,
-            "fig3": self.figure_3,
-            "fig4": self.figure_4,
-            "fig5": self.figure_5,
-            "fig9": self.figure_9,
-        }
+        methods = (self.table_1, self.figure_2, self.figure_3, self.figure_4, self.figure_5, self.figure_9)
+        makers: dict[str, Callable[[], Result]] = dict(zip(KEYS, methods, strict=True))
         self.makers = makers if config.what == "all" else {config.what: makers[config.what]}
         # Names and weights that cannot be used are found now, not after hours.
         self.controller: Controller[PrivilegedView] = scenario.make_controller(config.controller)
-        self.described = flat(config) | describe(scenario, self.controller)
-        for unrecorded in ("what", "output", "runs"):
-            del self.described[unrecorded]
+        self.described = flat(config, without=("what", "output", "runs")) | describe(scenario, self.controller)
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -211,32 +202,19 @@ class _Reproduction:
 
     def table_1(self) -> Result:
         """Success of every team size, and four robots like the paper's real ones."""
-        results = self.evaluation.results
         (real,) = self.real_like.results
         headings = [
             "robots", "success paper", "success ours", "sensed ours", "strict ours",
             "error paper", "error ours", "converge paper", "converge ours",
         ]  # fmt: skip
         low, high = (f"{100 * value:.0f}" for value in paper.MEDIAN_ERROR)
-        rows = [
-            self._row(
-                str(result["robots"]),
-                format_value(paper.SUCCESS[result["robots"]], "%"),
-                f"{low} to {high} %",
-                format_value(paper.CONVERGE_TIME, "s"),
-                result,
-            )
-            for result in results
-        ]
-        rows.append(
-            self._row(
-                f"{paper.REAL_ROBOTS}*",
-                "-",
-                format_value(paper.REAL_MEDIAN_ERROR, "%"),
-                format_value(paper.REAL_CONVERGE_TIME, "s"),
-                real,
-            )
-        )
+        published_error, published_time = f"{low} to {high} %", format_value(paper.CONVERGE_TIME, "s")
+        rows = []
+        for result in self.evaluation.results:
+            success = format_value(paper.SUCCESS[result["robots"]], "%")
+            rows.append(_row(str(result["robots"]), success, published_error, published_time, result))
+        real_error, real_time = format_value(paper.REAL_MEDIAN_ERROR, "%"), format_value(paper.REAL_CONVERGE_TIME, "s")
+        rows.append(_row(f"{paper.REAL_ROBOTS}*", "-", real_error, real_time, real))
         text = (
             f"{self.config.runs} random starts per team size, {self.config.scenario.duration:g} s each, controller "
             f"{self.config.controller.label}. The paper gives one range of median errors and one converge time "
@@ -255,22 +233,15 @@ class _Reproduction:
 
     def figure_2(self) -> Result:
         """Teams of two sizes at several moments."""
-        trajectories, tables = self._first_runs(SNAPSHOT_SIZES)
-        results = [{"robots": int(table["robots"][0]), **summarise(table)} for table in tables]
         text = (
             f"The first start of each team size with seed {self.config.seed}, not selected by outcome. Every robot is "
             "its footprint with a white line to the front, and the thin line is its way so far. Black edges are the "
             f"Gabriel graph, dashed where longer than robots can sense. {LEGEND}"
         )
-        values = {"config": self.described, "results": results}
-        figure = figure_2(trajectories, self.scene)
-        table = summary_rows(results)
-        return Result("Fig. 2: teams over time", text, table, trajectory_table(trajectories), values, figure)
+        return self._first_runs("Fig. 2: teams over time", text, SNAPSHOT_SIZES, figure_2)
 
     def figure_3(self) -> Result:
         """Distance histories over trajectories of one run per team size."""
-        trajectories, tables = self._first_runs(SIZES)
-        results = [{"robots": int(table["robots"][0]), **summarise(table)} for table in tables]
         text = (
             f"The first start of every team size with seed {self.config.seed}, not selected by outcome. Above: "
             "distances over time of the pairs that end as Gabriel neighbours, orange-red if out of "
@@ -278,10 +249,7 @@ class _Reproduction:
             "where every robot started (ring), went (line) and ended (footprint, white line to the front), and the "
             f"final graph, dashed where it is longer than robots can sense. {LEGEND}"
         )
-        values = {"config": self.described, "results": results}
-        figure = figure_3(trajectories, self.scene)
-        table = summary_rows(results)
-        return Result("Fig. 3: distances and trajectories", text, table, trajectory_table(trajectories), values, figure)
+        return self._first_runs("Fig. 3: distances and trajectories", text, SIZES, figure_3)
 
     def figure_4(self) -> Result:
         """Box plots of formation error and converge time."""
@@ -349,17 +317,21 @@ class _Reproduction:
         asked = EvaluateConfig(config.controller, robots, config.runs, config.seed, scenario=scenario)
         return evaluate(asked, self.listener, engine=self.engine)
 
-    def _first_runs(self, sizes: Sequence[int]) -> tuple[list[Trajectory], list[RunTable]]:
-        """Run and measure the first start of every team size."""
+    def _first_runs(
+        self, title: str, text: str, sizes: Sequence[int], draw: Callable[[Sequence[Trajectory], Scene], Figure]
+    ) -> Result:
+        """Run, measure and draw the first start of every team size."""
         scenario, seed = self.config.scenario, self.config.seed
-        trajectories, tables = [], []
+        trajectories, results = [], []
         with self.listener.progress("running", scenario.steps * sum(sizes)) as advance:
             for robots in sizes:
                 poses = scenario.sample_starts(robots, 1, seed)
                 trajectory, table = scenario.run(poses, self.controller, seed, on_step=advance)
                 trajectories.append(trajectory)
-                tables.append(table)
-        return trajectories, tables
+                results.append({"robots": int(table["robots"][0]), **summarise(table)})
+        values = {"config": self.described, "results": results}
+        figure = draw(trajectories, self.scene)
+        return Result(title, text, summary_rows(results), trajectory_table(trajectories), values, figure)
 
     def _changing(self, kind: EventKind) -> Scenario:
         return replace(self.config.scenario, event=Event(kind))
@@ -384,18 +356,15 @@ class _Reproduction:
         after = robots + 1 if kind == "join" else robots - 1
         return TeamChange(trajectory.run(shown), EVENT_TIME, f"{robots} → {after} robots"), which
 
-    def _row(self, robots: str, success: str, error: str, time: str, ours: dict[str, Any]) -> list[str]:
-        return [
-            robots,
-            success,
-            format_value(ours["success"], "%"),
-            format_value(ours["success_sensed"], "%"),
-            format_value(ours["strict"], "%"),
-            error,
-            format_value(ours["formation_error_median"], "%%"),
-            time,
-            format_value(ours["converge_time_median"], "s"),
-        ]
+
+def _row(robots: str, success: str, error: str, time: str, ours: dict[str, Any]) -> list[str]:
+    """Return a row of Table I: what the paper reports, each measure followed by ours."""
+    rates = [format_value(ours[rate], "%") for rate in ("success", "success_sensed", "strict")]
+    our_error, our_time = (
+        format_value(ours["formation_error_median"], "%%"),
+        format_value(ours["converge_time_median"], "s"),
+    )
+    return [robots, success, *rates, error, our_error, time, our_time]
 
 
 def trajectory_table(trajectories: Sequence[Trajectory]) -> RunTable:

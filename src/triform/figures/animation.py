@@ -6,7 +6,11 @@ import io
 from pathlib import Path
 from typing import Any, cast
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
 from PIL import Image
 
 from triform.evaluation.rollout import Trajectory
@@ -14,25 +18,20 @@ from triform.figures.runs import Scene, present
 from triform.figures.style import (
     GREY,
     INK,
-    Figure,
-    FigureCanvasAgg,
-    LineCollection,
-    PolyCollection,
     draw_arena,
     edge_lines,
     figure_style,
     footprint_outlines,
     frame,
     heading_marks,
-    plt,
     robot_colours,
 )
+from triform.files import write_atomically
 from triform.geometry import edge_error, gabriel_graph
-from triform.report.output import write_bytes
 from triform.types import FloatArray
 
 _PIXELS = 520
-#: A GIF has 256 colours: greys, and tints for so many robots.
+#: A GIF has 256 colours: 32 greys, and 8 tints for each of 28 robots.
 _GREYS = 32
 _TINTS = (1.0, 0.85, 0.7, 0.55, 0.45, 0.35, 0.25, 0.12)
 _COLOURED = 28
@@ -67,7 +66,8 @@ def animate(trajectory: Trajectory, scene: Scene, path: Path, speed: float = 4.0
     durations = [_FRAME_MS] * (len(frames) - 1) + [_LAST_FRAME_MS]
     buffer = io.BytesIO()
     frames[0].save(buffer, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
-    return write_bytes(path, buffer.getvalue())
+    write_atomically(path, buffer.getvalue())
+    return path
 
 
 def _draw_frames(trajectory: Trajectory, scene: Scene, records: list[int]) -> list[Image.Image]:

@@ -7,42 +7,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from triform.evaluation.rollout import Trajectory
 from triform.figures.runs import Scene, draw_trajectories
-from triform.figures.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PURPLE,
-    VERMILLION,
-    Axes,
-    Figure,
-    Line2D,
-    figure_style,
-    plt,
-)
+from triform.figures.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, VERMILLION, figure_style
+from triform.types import FloatArray
 
 _COLUMNS = 4
 _COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, GREY)
 #: Labels longer than this stand on a slope.
 _LONG_LABEL = 4
-
-
-@dataclass(frozen=True)
-class Panel:
-    """What one panel of a figure shows.
-
-    Attributes:
-        heading: What is varied, with the unit.
-        labels: Its values, in their order.
-    """
-
-    heading: str
-    labels: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -60,17 +39,17 @@ class FailedRun:
     title: str
 
 
-def conditions_figure(summaries: Sequence[dict[str, Any]], conditions: Mapping[str, Panel]) -> Figure:
+def conditions_figure(summaries: Sequence[dict[str, Any]], headings: Mapping[str, str]) -> Figure:
     """Draw the strict and the success rate over the values of every condition, one panel per condition.
 
     Bars are Wilson's 95 % intervals.
 
     Args:
         summaries: What ``Grid.summaries`` returned.
-        conditions: The panels, by condition.
+        headings: What is varied, with the unit, by condition, in the order of the panels.
     """
     found = {summary["condition"] for summary in summaries}
-    shown = [condition for condition in conditions if condition in found]
+    shown = [condition for condition in headings if condition in found]
     sizes = sorted({summary["robots"] for summary in summaries if summary["condition"] != "team-size"})
     colours = {size: _COLOURS[index % len(_COLOURS)] for index, size in enumerate(sizes)}
     columns = min(_COLUMNS, len(shown))
@@ -79,7 +58,7 @@ def conditions_figure(summaries: Sequence[dict[str, Any]], conditions: Mapping[s
         figure, panels = plt.subplots(rows, columns, figsize=(3.1 * columns, 2.75 * rows + 0.4), squeeze=False)
         for axes, condition in zip(panels.flat, shown, strict=False):
             own = [summary for summary in summaries if summary["condition"] == condition]
-            _draw_condition(axes, condition, conditions[condition], own, colours)
+            _draw_condition(axes, condition, headings[condition], own, colours)
         for axes in panels.flat[len(shown) :]:
             axes.set_axis_off()
         for axes in panels[:, 0]:
@@ -94,9 +73,9 @@ def conditions_figure(summaries: Sequence[dict[str, Any]], conditions: Mapping[s
 
 
 def _draw_condition(
-    axes: Axes, condition: str, panel: Panel, summaries: Sequence[dict[str, Any]], colours: dict[int, str]
+    axes: Axes, condition: str, heading: str, summaries: Sequence[dict[str, Any]], colours: dict[int, str]
 ) -> None:
-    labels = [label for label in panel.labels if any(summary["label"] == label for summary in summaries)]
+    labels = list(dict.fromkeys(summary["label"] for summary in summaries))
     # In the panel of team sizes, all belong to one series.
     series = [None] if condition == "team-size" else [size for size in colours if _of_size(summaries, size)]
     drawn = [(size, measure) for size in series for measure in ("success", "strict")]
@@ -109,13 +88,12 @@ def _draw_condition(
             continue
         # Side by side, because many values are equal.
         aside = 0.11 * (index - (len(drawn) - 1) / 2)
-        rates = np.array([100 * summary[measure] for summary in own])
-        low, high = 100 * np.array([summary[f"{measure}_interval"] for summary in own]).T
+        rates, bars = _rates(own, measure)
         strict = measure == "strict"
         axes.errorbar(
             [labels.index(summary["label"]) + aside for summary in own],
             rates,
-            yerr=np.maximum(0.0, [rates - low, high - rates]),
+            yerr=bars,
             color=INK if size is None else colours[size],
             marker="o" if strict else "s",
             mfc=None if strict else "white",
@@ -130,8 +108,15 @@ def _draw_condition(
     axes.set_xticks(range(len(labels)), labels, **(slope if max(map(len, labels)) > _LONG_LABEL else {}))
     axes.set_xlim(-0.5, len(labels) - 0.5)
     axes.set_ylim(0, 102)
-    axes.set_title(panel.heading, loc="left")
+    axes.set_title(heading, loc="left")
     axes.grid(visible=False, axis="x")
+
+
+def _rates(summaries: Sequence[dict[str, Any]], measure: str) -> tuple[FloatArray, FloatArray]:
+    """Return rates (K,) and the lengths of their bars, below and above (2, K) [%]."""
+    rates = np.array([100 * summary[measure] for summary in summaries])
+    low, high = 100 * np.array([summary[f"{measure}_interval"] for summary in summaries]).T
+    return rates, np.maximum(0.0, [rates - low, high - rates])
 
 
 def _of_size(summaries: Sequence[dict[str, Any]], size: int) -> list[dict[str, Any]]:
@@ -174,11 +159,10 @@ def ablation_figure(summaries: Sequence[dict[str, Any]], labels: Sequence[str]) 
             own = [summary for summary in summaries if summary["robots"] == size]
             places = np.array([labels.index(summary["label"]) for summary in own])
             for measure, marker, colour, filling, aside in _ABLATION_MEASURES:
-                rates = np.array([100 * summary[measure] for summary in own])
-                low, high = 100 * np.array([summary[f"{measure}_interval"] for summary in own]).T
+                rates, bars = _rates(own, measure)
                 axes.errorbar(
-                    rates, places + aside, xerr=np.maximum(0.0, [rates - low, high - rates]), ls="none", marker=marker,
-                    ms=4, color=colour, mfc=filling, elinewidth=0.8, clip_on=False, zorder=3, label=measure,
+                    rates, places + aside, xerr=bars, ls="none", marker=marker, ms=4, color=colour, mfc=filling,
+                    elinewidth=0.8, clip_on=False, zorder=3, label=measure,
                 )  # fmt: skip
             for summary in own:
                 if summary["label"] == labels[0]:

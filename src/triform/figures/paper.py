@@ -4,27 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from triform.evaluation import paper
 from triform.evaluation.metrics import TOLERANCE, RunTable, select
 from triform.evaluation.rollout import Trajectory
 from triform.figures.runs import Scene, draw_boxes, draw_formation, present
-from triform.figures.style import (
-    BLUE,
-    GREY,
-    INK,
-    VERMILLION,
-    Axes,
-    Figure,
-    Line2D,
-    bounds,
-    draw_arena,
-    figure_style,
-    frame,
-    plt,
-    robot_colours,
-)
+from triform.figures.style import BLUE, GREY, INK, VERMILLION, bounds, draw_arena, figure_style, frame, robot_colours
 from triform.types import FloatArray
 
 #: When the team is shown [s], as far as the run lasts, and at its end.

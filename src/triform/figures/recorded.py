@@ -6,28 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
 
 from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory
 from triform.figures.paper import figure_9
 from triform.figures.runs import Scene, draw_distances, draw_error, draw_trajectories, present
-from triform.figures.style import (
-    Axes,
-    Figure,
-    LineCollection,
-    PolyCollection,
-    bounds,
-    figure_style,
-    footprint_outlines,
-    heading_marks,
-    plt,
-    robot_colours,
-    save_figure,
-)
+from triform.figures.style import bounds, figure_style, footprint_outlines, heading_marks, robot_colours, save_figure
 from triform.simulation import Arena, Footprint
 
-#: Fig. 7 and 8 show the first so many runs, so many side by side.
+#: Fig. 7 and 8 show the first 8 runs, 4 side by side.
 SHOWN, _COLUMNS = 8, 4
 
 
@@ -90,7 +82,7 @@ def figure_8(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
 
 
 def _panels(count: int, height: float, parts: int = 1) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure with so many panels, in blocks of ``parts`` rows of ``height`` [inch], and the panels by part."""
+    """Return a figure of ``count`` panels, in blocks of ``parts`` rows of ``height`` [inch], and its panels by part."""
     columns = min(count, _COLUMNS)
     blocks = -(-count // columns)
     figure, grid = plt.subplots(

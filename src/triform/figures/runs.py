@@ -6,7 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from triform.evaluation import paper
 from triform.evaluation.metrics import TOLERANCE, RunTable, select, trailing_mean
@@ -18,17 +23,12 @@ from triform.figures.style import (
     INK,
     ORANGE,
     VERMILLION,
-    Axes,
-    Figure,
-    Line2D,
-    MaxNLocator,
     bounds,
     draw_arena,
     draw_edges,
     draw_robots,
     figure_style,
     frame,
-    plt,
     robot_colours,
 )
 from triform.geometry import edge_error, gabriel_graph

@@ -12,48 +12,15 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
+from triform.files import write_atomically
 from triform.geometry import body_to_world
-from triform.report.output import write_bytes
 from triform.simulation import Arena, Footprint
 from triform.types import BoolArray, FloatArray
 
 mpl.use("Agg")
-
-__all__ = [
-    "BLUE",
-    "GREEN",
-    "GREY",
-    "INK",
-    "ORANGE",
-    "PURPLE",
-    "SKY",
-    "VERMILLION",
-    "Axes",
-    "Figure",
-    "FigureCanvasAgg",
-    "Line2D",
-    "LineCollection",
-    "MaxNLocator",
-    "PolyCollection",
-    "bounds",
-    "draw_arena",
-    "draw_edges",
-    "draw_robots",
-    "edge_lines",
-    "figure_style",
-    "footprint_outlines",
-    "frame",
-    "heading_marks",
-    "plt",
-    "robot_colours",
-    "save_figure",
-]
 
 #: Okabe and Ito's palette.
 INK = "#1a1a1a"
@@ -62,7 +29,6 @@ BLUE = "#0072b2"
 ORANGE = "#e69f00"
 VERMILLION = "#d55e00"
 GREEN = "#009e73"
-SKY = "#56b4e9"
 PURPLE = "#cc79a7"
 
 _STYLE: Any = {
@@ -106,7 +72,8 @@ def save_figure(figure: Figure, path: Path) -> Path:
             figure.savefig(buffer, format=path.suffix.removeprefix("."))
     finally:
         plt.close(figure)
-    return write_bytes(path, buffer.getvalue())
+    write_atomically(path, buffer.getvalue())
+    return path
 
 
 def robot_colours(robots: int) -> list[Any]:

@@ -28,7 +28,6 @@ SEARCH_DEPTH = 128
 
 #: Halvings along each axis.
 _BITS = 24
-_DIGIT = 8
 
 
 @kernel
@@ -68,23 +67,8 @@ def _sort_robots(positions, active):
                 row = np.uint64((positions[i, 1] - low_y) * scale)
                 keys[slot] = (_spread_bits(column) << np.uint64(1)) | _spread_bits(row)
             slot += 1
-    other_robots, other_keys = np.empty_like(robots), np.empty_like(keys)
-    starts = np.empty((1 << _DIGIT) + 1, dtype=np.int64)
-    for digit in range(2 * _BITS // _DIGIT):
-        shift = np.uint64(digit * _DIGIT)
-        starts[:] = 0
-        for slot in range(count):
-            starts[((keys[slot] >> shift) & np.uint64(0xFF)) + np.uint64(1)] += 1
-        for value in range(1 << _DIGIT):
-            starts[value + 1] += starts[value]
-        for slot in range(count):
-            value = (keys[slot] >> shift) & np.uint64(0xFF)
-            other_keys[starts[value]] = keys[slot]
-            other_robots[starts[value]] = robots[slot]
-            starts[value] += 1
-        keys, other_keys = other_keys, keys
-        robots, other_robots = other_robots, robots
-    return robots, keys
+    order = np.argsort(keys, kind="mergesort")
+    return robots[order], keys[order]
 
 
 @kernel
@@ -218,23 +202,23 @@ def find_near(world, cell, limit, stack, near):
 
 
 @kernel
-def closest_pair(world, limit):
-    """Squared distance of the two robots nearest to each other [m^2], or ``limit`` if that is smaller."""
+def _closest_pair(world):
+    """Squared distance of the two robots nearest to each other [m^2]; ``inf`` without a pair."""
+    limit = np.inf
     _, places, parts, _ = world
     stack, near = np.empty(SEARCH_DEPTH, dtype=np.int64), np.empty(places.shape[0], dtype=np.int64)
+    cells = list_cells(world)
     # Pairs within a cell first, so that the search around it need not go far.
-    for cell in range(parts.shape[0]):
-        if parts[cell, 2] == 0:
-            for own in range(parts[cell, 0], parts[cell, 1]):
-                for slot in range(parts[cell, 0], own):
-                    limit = min(limit, squared_distance(places, own, slot))
-    for cell in range(parts.shape[0]):
-        if parts[cell, 2] == 0:
-            number = find_near(world, cell, limit, stack, near)
-            for own in range(parts[cell, 0], parts[cell, 1]):
-                for k in range(number):
-                    if near[k] < own:
-                        limit = min(limit, squared_distance(places, own, near[k]))
+    for cell in cells:
+        for own in range(parts[cell, 0], parts[cell, 1]):
+            for slot in range(parts[cell, 0], own):
+                limit = min(limit, squared_distance(places, own, slot))
+    for cell in cells:
+        number = find_near(world, cell, limit, stack, near)
+        for own in range(parts[cell, 0], parts[cell, 1]):
+            for k in range(number):
+                if near[k] < own:
+                    limit = min(limit, squared_distance(places, own, near[k]))
     return limit
 
 
@@ -247,7 +231,7 @@ def smallest_distance_of(positions, active):
         active: Robots that exist, shape (N,).
     """
     if active.shape[0] > SMALL_TEAM:
-        return np.sqrt(closest_pair(make_cells(positions, active), np.inf))
+        return np.sqrt(_closest_pair(make_cells(positions, active)))
     smallest = np.inf
     for i in range(active.shape[0]):
         for j in range(i):
@@ -300,9 +284,7 @@ def pairs_within(positions, active, limit):
     world = make_cells(positions, active)
     robots, places, parts, _ = world
     stack, near = np.empty(SEARCH_DEPTH, dtype=np.int64), np.empty(count, dtype=np.int64)
-    for cell in range(parts.shape[0]):
-        if parts[cell, 2] > 0:
-            continue
+    for cell in list_cells(world):
         number = find_near(world, cell, limit, stack, near)
         for own in range(parts[cell, 0], parts[cell, 1]):
             pairs = extended(pairs, filled + number)

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from triform.geometry.cells import SMALL_TEAM, extended, make_cells
+from triform.geometry.cells import SMALL_TEAM, extended, list_cells, make_cells
 from triform.geometry.gabriel_kernels import list_neighbours, make_workspace
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import BoolArray, ConfigurationError, FloatArray
+from triform.types import BoolArray, FloatArray, require
 
 #: Robots that keep a thread busy for a few milliseconds, in small teams and in large ones.
 ROBOTS_PER_THREAD = 10_000
@@ -91,9 +91,7 @@ def gabriel_lists(positions, active, max_range):
     begins = np.empty(order.shape[0], dtype=np.int64)
     ends = np.empty(order.shape[0] + 1, dtype=np.int64)
     in_cell = np.empty((64, 1), dtype=np.int64)
-    for cell in range(parts.shape[0]):
-        if parts[cell, 2] > 0:
-            continue
+    for cell in list_cells(world):
         in_cell = list_neighbours(world, cell, limit, workspace, in_cell, ends)
         for own in range(parts[cell, 0], parts[cell, 1]):
             k = own - parts[cell, 0]
@@ -195,15 +193,10 @@ def checked_points(positions: FloatArray, active: BoolArray | None, max_range: f
         ConfigurationError: If the shapes do not fit, the position of an active robot is not finite or ``max_range``
             is negative.
     """
-    if not max_range >= 0:
-        raise ConfigurationError(f"max_range is {max_range} m; it must not be negative")
+    require(max_range >= 0, f"max_range is {max_range} m; it must not be negative")
     points = np.ascontiguousarray(positions, dtype=np.float64)
-    if points.ndim < 2 or points.shape[-1] != 2:
-        raise ConfigurationError(f"positions have shape {points.shape}; (..., N, 2) is needed")
-    if active is None:
-        mask = np.ones(points.shape[:-1], dtype=np.bool_)
-    else:
-        mask = np.ascontiguousarray(np.broadcast_to(active, points.shape[:-1]), dtype=np.bool_)
-    if not np.isfinite(points[mask]).all():
-        raise ConfigurationError("positions of active robots must be finite")
+    require(points.ndim >= 2 and points.shape[-1] == 2, f"positions have shape {points.shape}; (..., N, 2) is needed")
+    present = True if active is None else active
+    mask = np.ascontiguousarray(np.broadcast_to(present, points.shape[:-1]), dtype=np.bool_)
+    require(bool(np.isfinite(points[mask]).all()), "positions of active robots must be finite")
     return points, mask

@@ -262,9 +262,8 @@ def _search_blockers(world, own, count, stack, found):
     while top > 0 and count > 0:
         top -= 1
         part = stack[top]
-        if box_distance(boxes, part, places[own, 0], places[own, 1]) > farthest:
-            continue
-        if not _in_a_circle(places, own, boxes, part, count, found):
+        distance = box_distance(boxes, part, places[own, 0], places[own, 1])
+        if distance > farthest or not _in_a_circle(places, own, boxes, part, count, found):
             continue
         half = parts[part, 2]
         if half > 0:

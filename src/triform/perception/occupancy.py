@@ -11,6 +11,7 @@ This is the only implementation; data, training and robots all call it.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -158,7 +159,7 @@ def occupied_into(ranges, moved, cos, sin, rules, workspace):
 
 
 @kernel
-def _maps(ranges, cos, sin, rules, first, last, out):
+def _maps(ranges, cos, sin, rules, out, first, last):
     size = out.shape[1]
     workspace = map_workspace(size)
     cells = workspace.cells
@@ -188,10 +189,5 @@ def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
     ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
     out = np.zeros((ranges.shape[0], config.size, config.size), dtype=np.uint8)
     rules = map_rules(scan.config, config)
-    in_parts(
-        lambda first, last: _maps(ranges, cos, sin, rules, first, last, out),
-        len(ranges),
-        len(ranges),
-        _SCANS_PER_THREAD,
-    )
+    in_parts(partial(_maps, ranges, cos, sin, rules, out), len(ranges), len(ranges), _SCANS_PER_THREAD)
     return out.reshape(*scan.ranges.shape[:-1], config.size, config.size)

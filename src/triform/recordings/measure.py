@@ -14,15 +14,17 @@ from triform.evaluation.metrics import RunTable, concatenate, measure
 from triform.evaluation.rollout import Trajectory
 from triform.recordings.resample import Recording, read_recordings
 from triform.report.listener import SILENT, Listener
-from triform.report.output import prepare_file, prepare_folder, write_json
-from triform.report.results import Evaluation, show_results
-from triform.report.tables import require_parquet, write_parquet
+from triform.report.output import prepare_folder
+from triform.report.results import Evaluation, ResultFiles, show_results
 from triform.simulation import Arena, Footprint
 from triform.simulation.ray_kernels import Scene
 from triform.simulation.world_kernels import Contacts, record_contacts
 from triform.threads import limit_threads
-from triform.types import require
+from triform.types import TriformError, require
 from triform.version import __version__
+
+#: Robots are not farther from their neighbours, or closer to them, than the prescribed distance by this factor.
+_SCALE = 30.0
 
 
 @dataclass(frozen=True)
@@ -75,13 +77,6 @@ class MeasureConfig:
         """Footprint of the recorded robots."""
         return Footprint.parse(self.footprint)
 
-    @property
-    def per_run_file(self) -> Path | None:
-        """Where one row per run goes; ``None`` if nothing is to be kept."""
-        if self.parquet is None and self.json is not None:
-            return self.json.with_suffix(".parquet")
-        return self.parquet
-
 
 def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluation:
     """Measure recorded runs, keep the results in files, draw them and show the table.
@@ -97,14 +92,9 @@ def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluatio
     Raises:
         TriformError: A recording cannot be read or measured, or a result cannot be written.
     """
-    per_run_file = config.per_run_file
-    for path in (config.json, per_run_file):
-        if path is not None:
-            prepare_file(path)
+    files = ResultFiles(config.json, config.parquet)
     if config.figures is not None:
         prepare_folder(config.figures)
-    if per_run_file is not None:
-        require_parquet()
     began = time.perf_counter()
     recordings: list[Recording] = []
     tables: list[RunTable] = []
@@ -112,6 +102,7 @@ def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluatio
         for path in config.files:
             for recording in read_recordings(path, config.rate, config.start, config.end):
                 which = {"run": np.array([len(recordings)]), "recording": np.array([recording.label])}
+                _refuse_scale(recording, config.distance)
                 overlap = np.array([any_overlap(recording.trajectory, config.outline)])
                 tables.append(which | measure(recording.trajectory, config.distance, collision=overlap))
                 recordings.append(recording)
@@ -122,27 +113,29 @@ def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluatio
     for sentence in [each for recording in recordings for each in recording.changes]:
         listener.say(sentence)
     show_results(evaluation, "recorded", listener)
-    for path in _write(config, evaluation, recordings, listener):
-        listener.say(f"wrote {path}")
-    return evaluation
-
-
-def _write(
-    config: MeasureConfig, evaluation: Evaluation, recordings: Sequence[Recording], listener: Listener
-) -> list[Path]:
-    """Write the files that were asked for and return their paths."""
-    written: list[Path] = []
-    if config.json is not None:
-        written.append(write_json(config.json, evaluation.as_json()))
-    if config.per_run_file is not None:
-        written.append(write_parquet(config.per_run_file, evaluation.runs))
+    files.write(evaluation)
+    written = files.paths
     if config.figures is not None:
         from triform.figures.recorded import draw_recorded
 
         with listener.progress("drawing", 1):
             trajectories = [recording.trajectory for recording in recordings]
             written += draw_recorded(trajectories, evaluation.runs, config.outline, config.distance, config.figures)
-    return written
+    for path in written:
+        listener.say(f"wrote {path}")
+    return evaluation
+
+
+def _refuse_scale(recording: Recording, distance: float) -> None:
+    """Refuse positions that cannot be in metres: at the end, robots are far from their prescribed distance [m]."""
+    last = recording.trajectory.poses[0, -1, :, :2][recording.trajectory.active[0, -1]]
+    apart = np.linalg.norm(last[:, None] - last, axis=2) + np.where(np.eye(len(last)), np.inf, 0.0)
+    nearest = float(np.median(apart.min(axis=1))) if len(last) > 1 else distance
+    if not distance / _SCALE < nearest < distance * _SCALE:
+        raise TriformError(
+            f"{recording.label}: at the end robots are {nearest:.4g} m from their nearest one, and distance is "
+            f"{distance:g} m; positions and distance in metres are needed"
+        )
 
 
 def any_overlap(trajectory: Trajectory, footprint: Footprint) -> bool:

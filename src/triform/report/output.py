@@ -42,19 +42,14 @@ def prepare_file(path: Path) -> Path:
     return path
 
 
-def write_bytes(path: Path, content: bytes) -> Path:
-    """Write ``content`` to ``path`` atomically and return it.
+def write_text(path: Path, text: str) -> Path:
+    """Write ``text`` to ``path`` atomically as UTF-8, and return the path.
 
     Raises:
         TriformError: The file cannot be written; ``path`` is then as it was.
     """
-    write_atomically(path, content)
+    write_atomically(path, text.encode("utf-8"))
     return path
-
-
-def write_text(path: Path, text: str) -> Path:
-    """Write ``text`` to ``path`` atomically as UTF-8."""
-    return write_bytes(path, text.encode("utf-8"))
 
 
 def write_json(path: Path, value: Any) -> Path:

@@ -6,14 +6,18 @@ import base64
 import html
 import json
 import shlex
-from collections.abc import Collection, Iterator
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from triform.report.listener import Listener
 from triform.report.output import write_text
 from triform.report.tables import markdown_table
 from triform.types import TriformError
+
+#: Options that commands on pages name even where they are the defaults, because a reader asks for them first.
+_ALWAYS_SAID = ("controller", "runs", "seed")
 
 
 @dataclass(frozen=True)
@@ -40,31 +44,26 @@ class Section:
     image: str
     files: list[str]
 
-    def as_json(self) -> dict[str, object]:
-        """Return plain JSON values."""
-        return asdict(self)
 
-
-def spell_command(words: list[str], config: Any, always: Collection[str], never: Collection[str]) -> str:
-    """Return a command that runs ``config`` again.
+def spell_command(words: list[str], config: Any, never: Collection[str] = ("output",)) -> str:
+    """Return a command that runs ``config`` again, wherever its runs are computed.
 
     Args:
         words: How the command begins.
         config: Its options, nested dataclasses whose options are flat on the command line.
-        always: Options that are said even where they are the defaults.
         never: Options that are left out, because they do not matter.
     """
-    return shlex.join([*words, *_spell(config, always, never)])
+    return shlex.join([*words, *_spell(config, never)])
 
 
-def _spell(config: Any, always: Collection[str], never: Collection[str]) -> Iterator[str]:
+def _spell(config: Any, never: Collection[str]) -> Iterator[str]:
     for option in fields(config):
         value = getattr(config, option.name)
-        if option.name in never:
+        if option.name in (*never, "execution"):
             continue
         if is_dataclass(value) and not hasattr(value, "label"):
-            yield from _spell(value, always, never)
-        elif option.name in always or value != option.default:
+            yield from _spell(value, never)
+        elif option.name in _ALWAYS_SAID or value != option.default:
             name = option.name.replace("_", "-")
             if isinstance(value, bool):
                 yield f"--{name}" if value else f"--no-{name}"
@@ -95,7 +94,7 @@ def read_sections(folder: Path, keys: list[str]) -> list[Section]:
     return sections
 
 
-def write_pages(folder: Path, title: str, sections: list[Section], name: str = "index") -> list[Path]:
+def write_pages(folder: Path, title: str, sections: Sequence[Section], name: str = "index") -> list[Path]:
     """Write ``name``.md and ``name``.html over ``sections`` into ``folder`` and return their paths."""
     return [
         write_text(folder / f"{name}.md", _markdown(title, sections)),
@@ -103,27 +102,24 @@ def write_pages(folder: Path, title: str, sections: list[Section], name: str = "
     ]
 
 
-def write_markdown(path: Path, section: Section) -> Path:
-    """Write one section alone to ``path``."""
-    return write_text(path, "\n".join(_markdown_section(section, "#")))
+def say_written(listener: Listener, folder: Path, sections: Sequence[Section], pages: Sequence[Path]) -> None:
+    """Name the files of sections, which share their data, their images and the pages over them."""
+    names = [*sections[0].files, *(section.image for section in sections if section.image)]
+    for path in [*(folder / name for name in names), *pages]:
+        listener.say(f"wrote {path}")
 
 
-def _markdown(title: str, sections: list[Section]) -> str:
+def _markdown(title: str, sections: Sequence[Section]) -> str:
     parts = [f"# {title}\n"]
     for section in sections:
-        parts += _markdown_section(section, "##")
+        parts.append(f"## {section.title}\n\n{section.text}\n")
+        if section.image:
+            parts.append(f"![{section.title}]({section.image})\n")
+        if section.rows:
+            parts.append(markdown_table(section.headings, section.rows))
+        files = ", ".join(f"[{name}]({name})" for name in section.files)
+        parts.append(f"Command: `{section.command}`. Data: {files}.\n")
     return "\n".join(parts)
-
-
-def _markdown_section(section: Section, level: str) -> list[str]:
-    parts = [f"{level} {section.title}\n\n{section.text}\n"]
-    if section.image:
-        parts.append(f"![{section.title}]({section.image})\n")
-    if section.rows:
-        parts.append(markdown_table(section.headings, section.rows))
-    files = ", ".join(f"[{name}]({name})" for name in section.files)
-    parts.append(f"Command: `{section.command}`. Data: {files}.\n")
-    return parts
 
 
 _CSS = """
@@ -139,7 +135,7 @@ th { border-bottom: 2px solid #1a1a1a; }
 """
 
 
-def _html(folder: Path, title: str, sections: list[Section]) -> str:
+def _html(folder: Path, title: str, sections: Sequence[Section]) -> str:
     body = [f"<h1>{html.escape(title)}</h1>"]
     for section in sections:
         body.append(f"<h2>{html.escape(section.title)}</h2>\n<p>{html.escape(section.text)}</p>")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from triform.evaluation.metrics import RunTable, concatenate, quantile, select, summarise
 from triform.report.listener import Listener
-from triform.report.tables import WIDE, event_rows, legend, summary_rows
+from triform.report.output import prepare_file, write_json
+from triform.report.tables import WIDE, event_rows, legend, require_parquet, summary_rows, write_parquet
 
 
 @dataclass
@@ -64,6 +66,35 @@ class Evaluation:
     def _summary(table: RunTable, connected: bool) -> dict[str, Any]:
         chosen = select(table, table["connected_start"] == connected)
         return {"robots": int(table["robots"][0]), **summarise(chosen)}
+
+
+class ResultFiles:
+    """The files of an evaluation: its summary, and one row per run beside it unless it has a place of its own."""
+
+    def __init__(self, json: Path | None, parquet: Path | None) -> None:
+        """Make sure that the files can be written, before anything is computed for them.
+
+        Args:
+            json: File for the summary; no file if ``None``.
+            parquet: File for one row per run; beside the summary if ``None``, or no file if there is no summary.
+
+        Raises:
+            TriformError: A file cannot be written, or pyarrow is not installed.
+        """
+        self._json = json
+        self._parquet = json.with_suffix(".parquet") if parquet is None and json is not None else parquet
+        self.paths = [path for path in (self._json, self._parquet) if path is not None]
+        for path in self.paths:
+            prepare_file(path)
+        if self._parquet is not None:
+            require_parquet()
+
+    def write(self, evaluation: Evaluation) -> None:
+        """Write what was found so far."""
+        if self._json is not None:
+            write_json(self._json, evaluation.as_json())
+        if self._parquet is not None:
+            write_parquet(self._parquet, evaluation.runs)
 
 
 def summarise_event(table: RunTable) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from triform.evaluation.metrics import RunTable
-from triform.report.output import write_bytes
+from triform.files import write_atomically
 from triform.types import TriformError
 
 
@@ -36,7 +36,8 @@ def write_parquet(path: Path, table: RunTable) -> Path:
 
     buffer = io.BytesIO()
     parquet.write_table(pa.table({name: pa.array(column) for name, column in table.items()}), buffer)
-    return write_bytes(path, buffer.getvalue())
+    write_atomically(path, buffer.getvalue())
+    return path
 
 
 def read_parquet(path: Path) -> RunTable:
@@ -105,21 +106,23 @@ def legend(headings: Sequence[str]) -> str:
     return f"{known[:1].upper()}{known[1:]}." if known else ""
 
 
+#: Factor, decimals and unit of every kind of measure.
+_FORMATS = {
+    "d": (1, "d", ""),
+    "%": (100, ".0f", " %"),
+    "%%": (100, ".1f", " %"),
+    "s": (1, ".1f", " s"),
+    "m": (1, ".2f", " m"),
+    "cm/s": (100, ".1f", " cm/s"),
+}
+
+
 def format_value(value: Any, kind: str) -> str:
     """Format a measure: ``d`` a count, ``%`` a rate, ``%%`` an error with a decimal; ``s``, ``m``, ``cm/s`` units."""
     if value is None or not math.isfinite(value):
         return "-"
-    if kind == "%":
-        return f"{100 * value:.0f} %"
-    if kind == "%%":
-        return f"{100 * value:.1f} %"
-    if kind == "s":
-        return f"{value:.1f} s"
-    if kind == "m":
-        return f"{value:.2f} m"
-    if kind == "cm/s":
-        return f"{100 * value:.1f} cm/s"
-    return f"{value:{kind}}"
+    factor, decimals, unit = _FORMATS[kind]
+    return f"{factor * value:{decimals}}{unit}"
 
 
 def summary_rows(summaries: Sequence[dict[str, Any]], without: Sequence[str] = ()) -> tuple[list[str], list[list[str]]]:
@@ -130,7 +133,7 @@ def summary_rows(summaries: Sequence[dict[str, Any]], without: Sequence[str] = (
 
 
 #: Columns for runs that an event interrupts.
-EVENT_COLUMNS = (
+_EVENT_COLUMNS = (
     ("runs", "runs", "d"),
     ("formed before", "formed_before", "%"),
     ("back", "recovered", "%"),
@@ -147,11 +150,11 @@ EVENT_COLUMNS = (
 
 def event_rows(summaries: Sequence[dict[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Return headings and formatted rows of summaries of runs that an event interrupts."""
-    headings = ["change", *(heading for heading, _, _ in EVENT_COLUMNS)]
+    headings = ["change", *(heading for heading, _, _ in _EVENT_COLUMNS)]
     rows = [
         [
             f"{summary['robots_before']} → {summary['robots_after']}",
-            *(format_value(summary[key], kind) for _, key, kind in EVENT_COLUMNS),
+            *(format_value(summary[key], kind) for _, key, kind in _EVENT_COLUMNS),
         ]
         for summary in summaries
     ]

@@ -6,12 +6,12 @@ from triform.simulation.arena import ARENAS, Arena, get_arena
 from triform.simulation.arena_file import arena_toml
 from triform.simulation.kinematics import integrate, limit_twists, steer
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
+from triform.simulation.mounting import Mounting, Placement, read_sectors
 from triform.simulation.profile_file import profile_toml
 from triform.simulation.profiles import (
     FOOTPRINTS,
     HARDWARE,
     IDEAL,
-    PROFILES,
     ROBOMASTER_EP,
     Drive,
     Footprint,
@@ -19,8 +19,8 @@ from triform.simulation.profiles import (
     NoiseBand,
     Profile,
     constant_noise,
-    get_profile,
 )
+from triform.simulation.shipped import PROFILES, get_profile
 from triform.simulation.simulated import SimulatedTeam
 from triform.simulation.spawn_kernels import is_connected
 from triform.simulation.spawning import load_starts, sample_addition, sample_starts, world_seeds
@@ -37,7 +37,9 @@ __all__ = [
     "Drive",
     "Footprint",
     "LidarConfig",
+    "Mounting",
     "NoiseBand",
+    "Placement",
     "Profile",
     "SimulatedTeam",
     "World",
@@ -57,6 +59,7 @@ __all__ = [
     "make_world",
     "noise_sigma",
     "profile_toml",
+    "read_sectors",
     "sample_addition",
     "sample_starts",
     "steer",

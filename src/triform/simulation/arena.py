@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from triform.types import FloatArray, choose, require
-
-
-def _table(columns: int) -> FloatArray:
-    return np.zeros((0, columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +21,8 @@ class Arena:
     """
 
     name: str = "open"
-    walls: FloatArray = field(default_factory=lambda: _table(4))
-    pillars: FloatArray = field(default_factory=lambda: _table(3))
+    walls: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
+    pillars: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
         for name, columns in (("walls", 4), ("pillars", 3)):
@@ -56,26 +51,12 @@ class Arena:
         require(width > 0 and height > 0, f"a room of {width} m x {height} m; both sides must be positive")
         left, right = center[0] - width / 2, center[0] + width / 2
         low, high = center[1] - height / 2, center[1] + height / 2
-        walls = [
-            [left, low, right, low],
-            [right, low, right, high],
-            [right, high, left, high],
-            [left, high, left, low],
-        ]
-        return cls(name, np.array(walls))
+        return cls(name, walls_around(np.array([[left, low], [right, low], [right, high], [left, high]])))
 
-    def with_pillars(self, pillars: ArrayLike, name: str | None = None) -> Arena:
-        """Return this arena with more pillars, rows of x, y, radius [m].
 
-        Raises:
-            ConfigurationError: If a row is malformed.
-        """
-        added = np.asarray(pillars, dtype=np.float64)
-        require(
-            added.ndim == 2 and added.shape[1] == 3,
-            f"pillars of shape {added.shape} given; rows of x, y, radius are needed",
-        )
-        return replace(self, name=name or self.name, pillars=np.concatenate([self.pillars, added]))
+def walls_around(corners: FloatArray) -> FloatArray:
+    """Return the walls of a polygon, shape (K, 4), from its corners (x, y), shape (K, 2) [m]."""
+    return np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
 #: Arenas by name. The start square of the protocol, 5 m wide around the origin, fits into each.
@@ -84,8 +65,10 @@ ARENAS = {
     for arena in (
         Arena.open(),
         Arena.room(6.0, 6.0, name="room-6"),
-        Arena.room(8.0, 8.0).with_pillars(
-            [[3.0, 3.0, 0.2], [-3.0, 3.0, 0.2], [-3.0, -3.0, 0.2], [3.0, -3.0, 0.2]], name="pillars"
+        Arena(
+            "pillars",
+            Arena.room(8.0, 8.0).walls,
+            np.array([[3.0, 3.0, 0.2], [-3.0, 3.0, 0.2], [-3.0, -3.0, 0.2], [3.0, -3.0, 0.2]]),
         ),
     )
 }

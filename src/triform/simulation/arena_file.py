@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from triform.simulation.arena import Arena
+from triform.simulation.arena import Arena, walls_around
 from triform.simulation.tables import TomlTable, are_numbers, quoted
 from triform.types import ConfigurationError, FloatArray
 
@@ -44,8 +44,7 @@ def _sides(box: TomlTable) -> FloatArray:
         raise box.wrong("heading", heading, "it must be finite [rad]")
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
     turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
-    placed = corners @ turn + np.asarray(center, dtype=np.float64)
-    return np.concatenate([placed, np.roll(placed, -1, axis=0)], axis=1)
+    return walls_around(corners @ turn + np.asarray(center, dtype=np.float64))
 
 
 def arena_toml(arena: Arena) -> str:

@@ -34,11 +34,11 @@ def _check_batch(poses: FloatArray, active: BoolArray) -> None:
 
 
 @functools.lru_cache(maxsize=16)
-def scan_rays(config: ScanConfig) -> ScanRays:
-    """Return the rays of a scan as the kernels take them."""
+def scan_rays(config: ScanConfig, x: float = 0.0, y: float = 0.0) -> ScanRays:
+    """Return the rays of a scan from (x, y) in the robot's frame [m] as the kernels take them."""
     angles = config.angles
     limits = (float(config.angle_min), float(config.range_min), float(config.range_max))
-    return ScanRays(*limits, np.cos(angles), np.sin(angles))
+    return ScanRays(*limits, np.cos(angles), np.sin(angles), float(x), float(y))
 
 
 def cast_scans(
@@ -49,6 +49,7 @@ def cast_scans(
     config: ScanConfig,
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
+    eye: tuple[float, float] = (0.0, 0.0),
 ) -> RangeArray:
     """Return what every robot's LiDAR would measure at one instant, without range noise.
 
@@ -60,21 +61,22 @@ def cast_scans(
         config: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
         dtype: Floating type of the ranges.
+        eye: Where the LiDAR is on each robot, forward and left of its centre [m].
 
     Returns:
         Ranges, shape (B, N, R) [m]: ``+inf`` beyond ``range_max``, ``-inf`` below ``range_min`` and throughout for
-        a robot whose centre lies inside an obstacle.
+        a robot whose LiDAR lies inside an obstacle.
 
     Raises:
         ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
     if offsets is not None:
-        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype)
+        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye)
     _check_batch(poses, active)
     worlds, robots = active.shape
     ranges = np.empty((worlds, robots, config.rays), dtype)
     places, mask = np.ascontiguousarray(poses, dtype=np.float64), np.ascontiguousarray(active)
-    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config)
+    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
     if robots <= SMALL_TEAM or worlds >= usable_threads():
         in_parts(
             lambda first, last: cast_worlds(places, mask, scene, rays, ranges, first, last),
@@ -107,6 +109,7 @@ def cast_rolling(
     config: ScanConfig,
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
+    eye: tuple[float, float] = (0.0, 0.0),
 ) -> RangeArray:
     """Return a turn in which ray k is measured at the share k / R of the way from ``start`` to ``end``.
 
@@ -121,6 +124,7 @@ def cast_rolling(
         config: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
         dtype: Floating type of the ranges.
+        eye: Where the LiDAR is on each robot, forward and left of its centre [m].
 
     Returns:
         Ranges, shape (B, N, R) [m], as ``cast_scans``.
@@ -140,7 +144,7 @@ def cast_rolling(
     mask, scene, rays = (
         np.ascontiguousarray(active),
         Scene(footprint.body, arena.walls, arena.pillars),
-        scan_rays(config),
+        scan_rays(config, *eye),
     )
     in_parts(
         lambda first, last: cast_moving_worlds(*ends, mask, scene, rays, errors, share_step, ranges, first, last),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from triform.geometry.unicycle import Wheels
-from triform.types import Body, ConfigurationError, FloatArray, ScanConfig, choose, nearest, require
+from triform.simulation.mounting import Mounting
+from triform.types import Body, ConfigurationError, FloatArray, ScanConfig, nearest, require
 
 
 #: Kinds of bases.
@@ -23,7 +23,7 @@ def _is_positive(value: float) -> bool:
 
 @dataclass(frozen=True)
 class Footprint:
-    """Outline of a robot seen from above, centred on the LiDAR.
+    """Outline of a robot seen from above, centred on its base.
 
     Attributes:
         shape: ``"box"`` or ``"circle"``.
@@ -282,6 +282,8 @@ class Profile:
         latency: Time from a finished scan until a command can use it [s].
         time_step: Longest integration step [s].
         odometry: Whether a robot's wheels tell it how far it has come.
+        mounting: Where the LiDAR is on the base, and what it cannot see from there. A simulated LiDAR's own errors and
+            the order of its rays do not depend on its yaw, nor on whether it is upright.
     """
 
     name: str
@@ -292,6 +294,7 @@ class Profile:
     latency: float = 0.0
     time_step: float = 0.01
     odometry: bool = True
+    mounting: Mounting = field(default_factory=Mounting)
 
     def __post_init__(self) -> None:
         for name in ("control_period", "time_step"):
@@ -302,6 +305,25 @@ class Profile:
     def seeing(self, reach: float) -> Profile:
         """Return these robots with a LiDAR that looks up to ``reach`` far [m]."""
         return replace(self, lidar=replace(self.lidar, scan=replace(self.lidar.scan, range_max=reach)))
+
+    def require_holonomic(self, body: str) -> None:
+        """Refuse a differential base.
+
+        Args:
+            body: What drives holonomic robots alone, for the sentence that refuses.
+
+        Raises:
+            ConfigurationError: The base is differential.
+        """
+        require(
+            not self.drive.is_differential,
+            f"the profile {self.name!r} has a differential base, and {body} drives holonomic robots alone",
+        )
+
+    @property
+    def from_lidar(self) -> ScanConfig:
+        """The scan from where the LiDAR is: as far beyond what the robot uses as the LiDAR is off its centre."""
+        return replace(self.lidar.scan, range_max=self.lidar.scan.range_max + self.mounting.offset)
 
 
 IDEAL = Profile("ideal")
@@ -326,22 +348,3 @@ HARDWARE = Profile(
     control_period=1 / 8,
     latency=0.12,
 )
-
-#: Profiles by name.
-PROFILES = {profile.name: profile for profile in (IDEAL, HARDWARE)}
-
-
-def get_profile(name: str) -> Profile:
-    """Return a profile by its name, or from a TOML file.
-
-    Args:
-        name: One of ``PROFILES``, or the path of a file that ends in ``.toml``.
-
-    Raises:
-        ConfigurationError: There is no such profile, or the file holds what is not allowed.
-    """
-    if name.endswith(".toml"):
-        from triform.simulation.profile_file import read_profile
-
-        return read_profile(Path(name))
-    return choose("profile", name, PROFILES, " and your own as FILE.toml")

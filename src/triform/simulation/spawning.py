@@ -170,12 +170,12 @@ def _read_csv(path: Path) -> FloatArray:
                 continue
             if len(names) != len(_COLUMNS):
                 raise TriformError(f"{path}, line {line}: {len(names)} columns; {', '.join(_COLUMNS)} are needed")
+            rows.append([])
             for column, cell in zip(_COLUMNS, names, strict=True):
                 try:
-                    float(cell)
+                    rows[-1].append(float(cell))
                 except ValueError:
                     raise TriformError(f"{path}, line {line}, column {column}: {cell!r} is not a number") from None
-            rows.append([float(cell) for cell in names])
     return np.array(rows).reshape(-1, len(_COLUMNS))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,9 +12,10 @@ from numpy.typing import ArrayLike
 from triform.simulation.arena import Arena, get_arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
 from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, scan_rays
-from triform.simulation.profiles import Profile, get_profile
+from triform.simulation.profiles import Profile
 from triform.simulation.ray_kernels import Scene
 from triform.simulation.sensors import SensorSuite, padded
+from triform.simulation.shipped import get_profile
 from triform.simulation.spawning import sample_starts, world_seeds
 from triform.simulation.world_kernels import Contacts, LidarTurn, Motion, advance_worlds, record_contacts
 from triform.threads import in_parts
@@ -239,11 +241,8 @@ class World:
         return Contacts(self._min_distance, self._collided, self._hit_arena)
 
     def _record(self) -> None:
-        scene, contacts = self._scene, self._contacts
-        in_parts(
-            lambda first, last: record_contacts(self._poses, self._active, scene, contacts, first, last),
-            len(self._active), self._active.size, RECORDS_PER_THREAD,
-        )  # fmt: skip
+        record = partial(record_contacts, self._poses, self._active, self._scene, self._contacts)
+        in_parts(record, len(self._active), self._active.size, RECORDS_PER_THREAD)
 
     def _advance(self, targets: FloatArray, duration: float, turn_ends: bool) -> None:
         """Move by ``duration`` [s], which lies within one turn of the LiDAR."""
@@ -254,19 +253,18 @@ class World:
         bounds = self._senses.rays_due(self._time, substeps, step, turn_ends)
         # Driving a robot for a step takes about as long as casting two rays.
         rays = self._active.size * (2 * substeps + int(bounds[-1] - bounds[0]))
-        scene, contacts = self._scene, self._contacts
         motion = Motion(self._poses, self._velocities, targets, self._active, drive_limits(self._profile.drive), step)
         ray_period = lidar.period / lidar.scan.rays
-        turn = LidarTurn(bounds, elapsed, ray_period, scan_rays(lidar.scan), self._senses.offsets, self._senses.ranges)
-        in_parts(
-            lambda first, last: advance_worlds(motion, scene, contacts, turn, first, last),
-            len(self._active), rays, MOVING_RAYS_PER_THREAD,
-        )  # fmt: skip
+        rays_of_turn = scan_rays(self._profile.from_lidar, self._profile.mounting.x, self._profile.mounting.y)
+        turn = LidarTurn(bounds, elapsed, ray_period, rays_of_turn, self._senses.offsets, self._senses.ranges)
+        advance = partial(advance_worlds, motion, self._scene, self._contacts, turn)
+        in_parts(advance, len(self._active), rays, MOVING_RAYS_PER_THREAD)
 
     def _snapshot(self) -> RangeArray:
         """All rays at this moment, without range noise."""
-        scene = (self._profile.footprint, self._arena, self._profile.lidar.scan)
-        return cast_scans(self._poses, self._active, *scene, self._senses.draw_offsets(self._active), np.float32)
+        profile, mounting = self._profile, self._profile.mounting
+        scene = (profile.footprint, self._arena, profile.from_lidar, self._senses.draw_offsets(self._active))
+        return cast_scans(self._poses, self._active, *scene, np.float32, (mounting.x, mounting.y))
 
     def _grow(self) -> None:
         """Append one place to axis N of everything."""

@@ -19,6 +19,7 @@ from triform.control import POLICY, ControllerSpec
 from triform.evaluation.scenario import Scenario
 from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_file, write_json
+from triform.threads import usable_threads
 from triform.timing.robot_step import Job, save_moments
 from triform.timing.step_time import record_views, single_views
 from triform.types import TriformError, require
@@ -160,7 +161,7 @@ def describe_machine() -> dict[str, Any]:
         "architecture": platform.machine(),
         "system": f"{platform.system()} {platform.release()}",
         "processors": os.cpu_count(),
-        "processors_usable": len(os.sched_getaffinity(0)),
+        "processors_usable": usable_threads(),
         "threads": 1,
         "environment": {name: os.environ[name] for name in _VARIABLES if name in os.environ},
         "python": platform.python_version(),

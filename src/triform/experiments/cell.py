@@ -1,0 +1,116 @@
+"""A cell of a grid: one controller with one team size in one scenario, run many times."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from triform.control import ControllerSpec, control_steps
+from triform.engines import Report
+from triform.evaluation.metrics import RunTable
+from triform.evaluation.rollout import Trajectory
+from triform.evaluation.scenario import Scenario
+from triform.experiments.settings import describe
+from triform.report.output import plain
+from triform.types import Controller, FloatArray, IntArray
+from triform.version import __version__
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Explicit starts of one team size.
+
+    Attributes:
+        indices: Index of every run, on which its noise depends, shape (B,).
+        poses: Starts, shape (B, N, 3) [m, m, rad].
+    """
+
+    indices: IntArray
+    poses: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One controller with one team size in one scenario: what is run many times.
+
+    Attributes:
+        labels: What tells the cell from others in a table, by column.
+        scenario: Everything about a run but its start and controller.
+        controller: Who steers: the name of a controller, or a controller.
+        robots: Robots at the start.
+        runs: Number of runs.
+        seed: A run is a function of scenario, team size, seed and index alone.
+        name: How people tell the cell from others.
+        group: Cells of a group are left out together, if the controller of one of them cannot be made.
+        starts: Explicit starts instead of random ones.
+        wanted: Whether the cell is to be run; if not, only results that the file holds are shown.
+    """
+
+    labels: Mapping[str, str]
+    scenario: Scenario
+    controller: ControllerSpec | Controller[Any]
+    robots: int
+    runs: int
+    seed: int
+    name: str
+    group: str
+    starts: Starts | None = None
+    wanted: bool = True
+
+    @property
+    def key(self) -> tuple[str | int, ...]:
+        """Values of the labels, and the team size."""
+        return (*self.labels.values(), self.robots)
+
+    @property
+    def work(self) -> int:
+        """Robots times control periods of all runs."""
+        return self.scenario.steps * self.runs * self.robots
+
+    def settings(self, controller: Controller[Any]) -> dict[str, Any]:
+        """Return all that decides about the runs as plain JSON values, equal for cells that run the same."""
+        scenario = self.scenario
+        described = describe(scenario, controller)
+        chosen = ("controller_description", "profile_description", "arena", "distance", "duration")
+        settings: dict[str, Any] = {name: described[name] for name in chosen}
+        settings |= {"robots": self.robots, "runs": self.runs, "seed": self.seed, "triform": __version__}
+        if scenario.simulator != "builtin":
+            settings |= {"team": scenario.simulator, "drive": scenario.gazebo_base}
+        if scenario.event is not None:
+            settings |= {"event": asdict(scenario.event)}
+        if self.starts is not None:
+            settings |= {"starts": hashlib.sha256(np.ascontiguousarray(self.starts.poses).tobytes()).hexdigest()}
+        plainly: dict[str, Any] = plain(settings)
+        return plainly
+
+    def run(
+        self, first: int, count: int, controller: Controller[Any], on_step: Report | None = None
+    ) -> tuple[Trajectory, RunTable]:
+        """Run ``count`` runs from number ``first`` on, all at once; return what happened, and one row per run."""
+        if self.starts is None:
+            indices = np.arange(first, first + count)
+            poses = self.scenario.sample_starts(self.robots, count, self.seed, first)
+        else:
+            some = slice(first, first + count)
+            indices, poses = self.starts.indices[some], self.starts.poses[some]
+        trajectory, table = self.scenario.run(poses, controller, self.seed, indices, on_step)
+        return trajectory, {"run": indices} | table
+
+    def check(self) -> None:
+        """Find out now what a run would stumble over after hours.
+
+        Raises:
+            ConfigurationError: A time is no whole number of control periods, or the arena has no place for a start.
+        """
+        scenario, period = self.scenario, self.scenario.robot.control_period
+        control_steps(scenario.duration, period)
+        if scenario.event is not None and scenario.event.interrupts:
+            control_steps(scenario.event.time, period)
+        if self.starts is not None:
+            scenario.check_starts(self.starts.poses)
+        elif scenario.arena != "open":
+            scenario.check_starts(scenario.sample_starts(self.robots, self.runs, self.seed))
