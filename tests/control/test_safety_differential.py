@@ -11,10 +11,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import Point
 
+from tests.fuzz.arcs import Reckless
 from triform.control import SafetyFilter, SafetySettings, make_controller, rolling_arcs
 from triform.evaluation.scenario import Scenario
-from triform.simulation import Arena, Drive, Footprint, LidarConfig, Profile, World, constant_noise, get_arena
-from triform.simulation import limit_twists, sample_starts
+from triform.simulation import (
+    Arena,
+    Drive,
+    Footprint,
+    LidarConfig,
+    Profile,
+    World,
+    constant_noise,
+    get_arena,
+    limit_twists,
+    sample_starts,
+)
 from triform.simulation.lidar import cast_scans
 from triform.types import FloatArray, PrivilegedView, Scan, ScanConfig, View
 
@@ -34,7 +45,10 @@ class Crush:
     """Everybody drives towards the middle of all at full speed."""
 
     privileged = True
-    description = {"name": "crush"}
+
+    @property
+    def description(self):
+        return {"name": "crush"}
 
     def command(self, view: PrivilegedView) -> FloatArray:
         ahead = view.poses[..., :2].mean(axis=1, keepdims=True) - view.poses[..., :2]
@@ -42,26 +56,12 @@ class Crush:
         return np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
 
 
-class Roll:
-    """Speeds and turn rates at random, each held for a while, mostly towards the middle of all."""
-
-    privileged = True
-    description = {"name": "roll"}
-
-    def __init__(self, seed: int, hold: float = 0.8) -> None:
-        self._seed, self._hold = seed, hold
-
-    def command(self, view: PrivilegedView) -> FloatArray:
-        rng = np.random.default_rng([self._seed, int(view.time / self._hold)])
-        shape = view.active.shape
-        speed, turn = rng.choice([-1.0, 0.5, 1.0], shape), rng.choice([-4.0, -1.0, 0.0, 1.0, 4.0], shape)
-        rolls = np.stack([speed, np.zeros(shape), turn], axis=-1)
-        return np.where(rng.random(shape)[..., None] < 0.5, rolls, Crush().command(view))
-
-
 class Given:
     privileged = False
-    description = {"name": "given"}
+
+    @property
+    def description(self):
+        return {"name": "given"}
 
     def __init__(self, commands) -> None:
         self.commands = np.asarray(commands, dtype=float)
@@ -74,7 +74,7 @@ def guarded(controller, profile: Profile) -> SafetyFilter:
     """The filter that a scenario of these robots has."""
     scenario = Scenario()
     object.__setattr__(scenario, "_robot", profile)
-    filtered = scenario.filtered(controller)
+    filtered = scenario.make_controller(controller)
     assert isinstance(filtered, SafetyFilter)
     return filtered
 
@@ -85,9 +85,7 @@ def drive_for(world: World, controller, seconds: float) -> None:
 
 
 @settings(deadline=None, max_examples=60)
-@given(
-    st.integers(0, 2**32 - 1), st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-2, 2)), st.booleans()
-)
+@given(st.integers(0, 2**32 - 1), st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-2, 2)), st.booleans())
 def test_the_speed_is_what_every_return_allows(seed: int, twist: tuple[float, float, float], moved: bool) -> None:
     """The bound of the text, restated: gaps by Shapely, from where the robot rests, and the straightest approach."""
     rng = np.random.default_rng(seed)
@@ -122,7 +120,9 @@ def test_the_speed_is_what_every_return_allows(seed: int, twist: tuple[float, fl
 
 
 def test_what_is_free_is_driven_to_the_bit() -> None:
-    view = World(sample_starts(5, 4, seed=1) * [3, 3, 1], replace(ROBOT, lidar=replace(ROLLING, rolling=False)), seeds=range(4)).observe()
+    view = World(
+        sample_starts(5, 4, seed=1) * [3, 3, 1], replace(ROBOT, lidar=replace(ROLLING, rolling=False)), seeds=range(4)
+    ).observe()
     wanted = np.random.default_rng(0).uniform(-1, 1, (4, 5, 3)) * [0.02, 0.02, 2.0]
     view = replace(view, time=9.0, scans=Scan(np.full_like(view.scans.ranges, np.inf), view.scans.config))
     np.testing.assert_array_equal(guarded(Given(wanted), ROBOT).command(view), limit_twists(wanted, DRIVE))
@@ -152,7 +152,7 @@ def test_robots_head_on_never_overlap(profile: Profile) -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_rolling_crowd_never_overlaps(profile: Profile, seed: int) -> None:
     world = World(sample_starts(7, 8, seed), profile, seeds=range(8))
-    drive_for(world, guarded(Roll(seed), profile), 20)
+    drive_for(world, guarded(Reckless(seed, 0.8), profile), 20)
     assert not world.collided.any()
     assert np.median(world.min_distance) < 0.65
 

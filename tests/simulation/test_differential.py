@@ -42,7 +42,9 @@ def test_wheels_leave_the_arcs_of_solve_ivp(left: float, right: float, heading: 
 
     def rolls(_: float, state: FloatArray) -> FloatArray:
         turn = state[2]
-        return np.array([0.5 * (left + right) * np.cos(turn), 0.5 * (left + right) * np.sin(turn), (right - left) / TRACK])
+        return np.array(
+            [0.5 * (left + right) * np.cos(turn), 0.5 * (left + right) * np.sin(turn), (right - left) / TRACK]
+        )
 
     solution = solve_ivp(rolls, (0, 1.5), [0.3, -0.2, heading], rtol=1e-11, atol=1e-12).y[:, -1]
     world = World([[[0.3, -0.2, heading]]], replace(IDEAL, drive=replace(ROLLING, max_turn_rate=9.0)))
@@ -103,7 +105,9 @@ def test_what_is_driven_is_within_the_limits_and_driven_again_as_it_is(
 
 
 @settings(deadline=None, max_examples=60)
-@given(angle=st.floats(-np.pi, np.pi), speed=st.floats(0.05, 0.3), reverse=st.booleans(), start=st.floats(-np.pi, np.pi))
+@given(
+    angle=st.floats(-np.pi, np.pi), speed=st.floats(0.05, 0.3), reverse=st.booleans(), start=st.floats(-np.pi, np.pi)
+)
 def test_a_robot_comes_to_drive_where_it_is_to_go(angle: float, speed: float, reverse: bool, start: float) -> None:
     """A velocity that stays the same in the world: after a while the robot has it, whatever its heading was."""
     drive = replace(ROLLING, reverse=reverse)
@@ -126,7 +130,10 @@ def test_a_wheel_that_is_too_fast_slows_the_whole_arc_down() -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(
-    seeds, st.sampled_from([math.inf, 0.5, 2.0]), st.sampled_from([math.inf, 3.0, 9.0]), st.sampled_from([0.0, 0.05, 0.2])
+    seeds,
+    st.sampled_from([math.inf, 0.5, 2.0]),
+    st.sampled_from([math.inf, 3.0, 9.0]),
+    st.sampled_from([0.0, 0.05, 0.2]),
 )
 def test_rolling_robots_come_to_rest_where_odometry_says(
     seed: int, acceleration: float, turn_acceleration: float, lag: float

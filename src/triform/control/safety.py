@@ -12,11 +12,11 @@ whatever the controllers want, if it was when the robots stood. This holds exact
 that pass each other, whose nearest points move along them, it is a rule that experiments confirm.
 
 A differential base drives along its axis alone, so only its speed is limited, by every return: to
-``rate * max(g - min_gap, 0) / cos(b)``, with b the bearing of the return from the direction of travel, less the angle by
-which the robot can turn before the command ends (``Arcs``); a return with b beyond 90 degrees limits nothing. Gap and
-bearing are those from where the robot comes to rest, which its odometry tells; without odometry the angle grows by the
-fastest turn in ``reaction``. So however the robot turns, it never drives at a return faster than a holonomic one may,
-and the argument above holds. A differential robot is to the filter the circle around its outline, and so are the
+``rate * max(g - min_gap, 0) / cos(b)``, with b the bearing of the return from the direction of travel, less the angle
+by which the robot can turn before the command ends (``Arcs``); a return with b beyond 90 degrees limits nothing. Gap
+and bearing are those from where the robot comes to rest, which its odometry tells; without odometry the angle grows by
+the fastest turn in ``reaction``. So however the robot turns, it never drives at a return faster than a holonomic one
+may, and the argument above holds. A differential robot is to the filter the circle around its outline, and so are the
 others: a box adds to ``min_gap`` what its corners stand out. A circle may turn at any time.
 
 Zero is always allowed, so the filter never makes a command longer, never moves a robot that wants to rest, and never

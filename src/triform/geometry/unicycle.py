@@ -1,8 +1,9 @@
-"""From the body twist of a holonomic controller to what two driven wheels do: a speed along the robot's axis and a turn.
+"""From the body twist of a holonomic controller to what two driven wheels do: a speed along the axis and a turn rate.
 
-A wanted velocity makes the angle e with the robot's axis, folded into [-90 deg, 90 deg] for a robot that may reverse. The
+A wanted velocity makes the angle e with the robot's axis, folded into [-90 deg, 90 deg] if the robot may reverse. The
 robot drives ``v = |u| cos^4(e)`` forwards or backwards and turns with ``omega = k e``, besides the turn rate that the
-command itself asks for: it turns first, and drives when it is nearly there. A command along the axis is driven as it is, so what has been converted once stays as it is.
+command itself asks for: it turns first, and drives when it is nearly there. A command along the axis is driven as it
+is, so what has been converted once stays as it is.
 """
 
 from __future__ import annotations

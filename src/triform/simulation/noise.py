@@ -73,9 +73,7 @@ def noise_keys(seeds: Sequence[np.random.SeedSequence], worlds: int) -> NDArray[
     return np.array([seed.generate_state(1, np.uint64)[0] for seed in chosen], dtype=np.uint64)
 
 
-def exploration_noise(
-    keys: NDArray[np.uint64], robots: int, time: float, period: float = NOISE_PERIOD
-) -> FloatArray:
+def exploration_noise(keys: NDArray[np.uint64], robots: int, time: float, period: float = NOISE_PERIOD) -> FloatArray:
     """Standard normal numbers of all robots at a time.
 
     Args:

@@ -12,7 +12,6 @@ from triform.geometry.unicycle import Wheels
 from triform.simulation.mounting import Mounting
 from triform.types import Body, ConfigurationError, FloatArray, ScanConfig, nearest, require
 
-
 #: Kinds of bases.
 BASES = ("holonomic", "differential")
 
@@ -251,7 +250,7 @@ class Drive:
 
     @property
     def braking_lag(self) -> float:
-        """Lag with which a robot at full speed would brake on the way that it needs with its limit of acceleration [s]."""
+        """Lag with which a robot at full speed would brake on the way that its limit of acceleration takes [s]."""
         return self.lag + min(self.max_speed, self.max_axis_speed) / (2 * self.max_acceleration)
 
     @property

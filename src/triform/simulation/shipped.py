@@ -1,9 +1,9 @@
 """Shipped robot profiles, with the source of every number, and where they are looked up.
 
 Accuracies of data sheets are read as two standard deviations, as those of the hardware profile are. What no source says
-is called an assumption. A circle is the smallest one around the middle of the axle that holds the robot, because that is
-what it turns about. The LiDARs of TurtleBots sit on top of them: robots see each other as these circles only if each
-wears a collar of that diameter at the height of the LiDAR.
+is called an assumption. A circle is the smallest one around the middle of the axle that holds the robot, because it
+turns about that. The LiDARs of TurtleBots sit on top of them: robots see each other as these circles only if each wears
+a collar of that diameter at the height of the LiDAR.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ LDS_01 = replace(
     noise=(NoiseBand(0.5, absolute=0.005), NoiseBand(math.inf, relative=0.0175)),
 )
 
-#: SLAMTEC RPLIDAR A1M8 (data sheet): 0.15 m to 12 m, 360 samples a turn, 1 % of the range. TurtleBot 4's turns 7.7 times
-#: a second (measured by its users). Lost rays: an assumption.
+#: SLAMTEC RPLIDAR A1M8 (data sheet): 0.15 m to 12 m, 360 samples a turn, 1 % of the range, 5.5 to 10 Hz. That it turns
+#: 7.7 times a second, and lost rays: assumptions.
 RPLIDAR_A1 = LidarConfig(
     scan=ScanConfig(rays=360, range_min=0.15),
     noise=(NoiseBand(math.inf, relative=0.005),),
@@ -52,7 +52,7 @@ RPLIDAR_A2 = replace(
     period=1 / 10,
 )
 
-#: Speeds of ROBOTIS's TurtleBot3 Burger: e-manual, "Specifications". No wheel is faster than when both drive straight on.
+#: Speeds of ROBOTIS's TurtleBot3 Burger: e-manual, "Specifications"; no wheel is faster than when both drive straight.
 #: Track, outline and place of the LiDAR: turtlebot3_burger.urdf. Accelerations, lag, latency: assumptions.
 BURGER = Profile(
     "turtlebot3-burger",
@@ -88,8 +88,8 @@ WAFFLE = replace(
     mounting=Mounting(x=-0.064),
 )
 
-#: Clearpath's TurtleBot 4: an iRobot Create 3, 342 mm across. Speed with its safety features, largest speed of a wheel and
-#: acceleration of a wheel: create3_docs, "Safety Overrides"; it backs up freely only if `safety_override` is
+#: Clearpath's TurtleBot 4: an iRobot Create 3, 342 mm across. Speed with its safety features, largest speed and largest
+#: acceleration of a wheel: create3_docs, "Safety Overrides"; it backs up freely only if its `safety_override` is
 #: `backup_only`. Turn rate: TurtleBot 4 manual, "Features". Track: irobot_create_description. Place of the LiDAR:
 #: turtlebot4.urdf.xacro; its zero points to the left. Lag, latency: assumptions.
 TURTLEBOT4 = Profile(
@@ -111,7 +111,7 @@ TURTLEBOT4 = Profile(
 )
 
 #: Husarion's ROSbot XL with mecanum wheels, 332 mm x 325 mm (manual). Turn rate and accelerations:
-#: mecanum_drive_controller.yaml of rosbot_xl_ros. It drives 0.9 m/s, but starts here with the 0.5 m/s of the ideal robots.
+#: mecanum_drive_controller.yaml of rosbot_xl_ros. It could drive 0.9 m/s; here it has the 0.5 m/s of the ideal robots.
 #: LiDAR on the middle of its cover: rosbot_xl.urdf.xacro. Lag, latency: assumptions.
 ROSBOT_XL = Profile(
     "rosbot-xl",
