@@ -96,7 +96,8 @@ class EmulateConfig:
             f"duration is {self.duration} s; it must be positive and finite",
         )
 
-        _ = self.kind, self.surroundings
+        _ = self.surroundings
+        self.kind.require_holonomic("the emulated RoboMaster")
         for name in ("address", "local_address"):
             first = getattr(self, name)
             try:
