@@ -23,7 +23,7 @@ from ray import cloudpickle
 
 from triform.engines.identity import differences, identity
 from triform.engines.interface import Item, Report, Result, Task
-from triform.engines.patience import Patience
+from triform.engines.patience import SERVERS, Patience
 from triform.engines.progress import Noticeboard, reporter
 from triform.engines.surroundings import on_loopback, silence
 from triform.threads import limit_threads, usable_threads
@@ -80,7 +80,7 @@ class RayEngine:
                     _check_address(address)
                 with silence():
                     self._ask(partial(ray.init, address, **quiet))
-            self._ask(self._ask.know_servers)
+            self._ask.watch(self._ask(_servers))
         except TriformError:
             self.close()
             raise
@@ -236,6 +236,17 @@ def _outcome(reference: Any) -> tuple[Any, float]:
     if isinstance(result, TriformError):
         raise result
     return result, reported
+
+
+def _servers() -> dict[str, tuple[str, int]]:
+    """Where the servers listen that this process is connected to: the cluster's head and this machine's own node."""
+    here = ray.get_runtime_context()
+    host, _, port = here.gcs_address.rpartition(":")
+    found = {SERVERS["gcs_server"]: (host.strip("[]"), int(port))}
+    for node in ray.nodes():
+        if node["NodeID"] == here.get_node_id():
+            found[SERVERS["raylet"]] = node["NodeManagerAddress"], node["NodeManagerPort"]
+    return found
 
 
 def _resolved(address: str) -> str:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
-
-import ray
 
 from triform.types import TriformError
 
@@ -21,9 +18,8 @@ Answer = TypeVar("Answer")
 _PERIOD, _PATIENCE = 0.2, 2.0
 #: Looks in a row that find no server before it counts as lost: a machine may be busy for a moment.
 _LOOKS = 4
-#: Ray's servers by the names of their processes, and how long the first of them may take to be there [s].
-_SERVERS = {"gcs_server": "head", "raylet": "node on this machine"}
-_LATE = 6.0
+#: Ray's servers by the names of their processes.
+SERVERS = {"gcs_server": "head", "raylet": "node on this machine"}
 
 
 class Patience:
@@ -34,7 +30,7 @@ class Patience:
         self._calls: SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = SimpleQueue()
         self._servers: dict[str, tuple[str, int]] = {}
         self._children: dict[int, str] = {}
-        self._missed, self._began = 0, time.monotonic()
+        self._missed = 0
         self.lost = ""
         # A thread that does not come back must not hold up the end of the process.
         threading.Thread(target=self._work, name="triform-ray", daemon=True).start()
@@ -70,15 +66,9 @@ class Patience:
         self._calls.put((done, call))
         return not wait([done], seconds).not_done
 
-    def know_servers(self) -> None:
-        """Note the servers that this process is connected to: the cluster's head and this machine's own node."""
-        here = ray.get_runtime_context()
-        host, _, port = here.gcs_address.rpartition(":")
-        nodes = {_SERVERS["gcs_server"]: (host.strip("[]"), int(port))}
-        for node in ray.nodes():
-            if node["NodeID"] == here.get_node_id():
-                nodes[_SERVERS["raylet"]] = node["NodeManagerAddress"], node["NodeManagerPort"]
-        self._servers = nodes
+    def watch(self, servers: dict[str, tuple[str, int]]) -> None:
+        """Look from now on whether these servers, host and port by name, can be reached."""
+        self._servers = servers
 
     def _look(self) -> None:
         """Look whether Ray is still there.
@@ -105,15 +95,13 @@ class Patience:
         return ""
 
     def _dead_child(self) -> str:
-        """A server that this process has started, or should have by now, and that has ended, if the system tells."""
-        tasks = list(Path("/proc/self/task").glob("*/children"))
+        """A server that this process has started and that has ended, if the system tells."""
+        tasks = Path("/proc/self/task").glob("*/children")
         for pid in (int(each) for path in tasks for each in path.read_text().split()):
-            name = _SERVERS.get(_state(pid)[0])
+            name = SERVERS.get(_state(pid)[0])
             if name is not None:
                 self._children[pid] = name
-        late = tasks and not self._children and time.monotonic() - self._began > _LATE
-        gone = (name for pid, name in self._children.items() if _state(pid)[1] in "ZX")
-        return next(gone, _SERVERS["gcs_server"] if late else "")
+        return next((name for pid, name in self._children.items() if _state(pid)[1] in "ZX"), "")
 
 
 def _state(pid: int) -> tuple[str, str]:

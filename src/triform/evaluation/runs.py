@@ -9,7 +9,8 @@ from itertools import pairwise
 from typing import TypeVar
 
 from triform.engines import Engine, EngineName, Report, Task, check_engine, open_engine
-from triform.types import convert_fields, require
+from triform.limits import check_threads
+from triform.types import convert_fields
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -35,7 +36,7 @@ class Execution:
 
     def __post_init__(self) -> None:
         convert_fields(self)
-        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        check_threads(self.threads)
         check_engine(self.engine, self.ray_address)
 
     def open_engine(self) -> AbstractContextManager[Engine]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from triform.evaluation.metrics import RunTable, concatenate, measure
 from triform.evaluation.rollout import Trajectory
+from triform.limits import check_threads
 from triform.recordings.resample import Recording, read_recordings
 from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_folder
@@ -70,7 +71,7 @@ class MeasureConfig:
         require(self.rate is None or 0 < self.rate < np.inf, f"rate is {self.rate} Hz; it must be positive and finite")
         require(0 <= self.start < np.inf, f"start is {self.start} s; it must be finite and not negative")
         require(self.end is None or self.end > self.start, f"end is {self.end} s; it must be later than start")
-        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        check_threads(self.threads)
         _ = self.outline
 
     @property

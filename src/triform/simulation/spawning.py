@@ -193,7 +193,7 @@ def _read_csv(path: Path) -> FloatArray:
 def _read_npy(path: Path) -> FloatArray:
     try:
         values = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
+    except (ValueError, EOFError, MemoryError) as error:
         raise TriformError(f"{path} is not an .npy file of numbers: {error}") from None
     if values.ndim != 2 or values.shape[1] != len(_COLUMNS) or values.dtype.kind not in "fiu":
         raise TriformError(
