@@ -22,8 +22,9 @@ from triform.training import PRESETS
 
 #: A preset that learns an expert from demonstrations, and one that learns the triangulating law from scenes.
 DEMONSTRATED = next(name for name, preset in PRESETS.items() if preset.scenes is None and preset.maps is not None)
-QUICK = ["evaluate", "--controller", "expert", "--robots", "3", "--runs", "1", "--duration", "5", "--json"]
 SCENES = next(name for name, preset in PRESETS.items() if preset.scenes is not None)
+#: A short evaluation; the name of its file comes next.
+QUICK = ["evaluate", "--controller", "expert", "--robots", "3", "--runs", "1", "--duration", "5", "--json"]
 
 
 def test_version_and_overview(capsys: pytest.CaptureFixture[str]) -> None:
