@@ -28,6 +28,7 @@ _EXTRAS = {
     "safetensors": ("train", "safetensors"),
     "tensorboard": ("train", "tensorboard"),
     "onnx": ("train", "onnx"),
+    "mujoco": ("mujoco", "MuJoCo"),
     "ray": ("ray", "ray"),
     "serial": ("robot", "pyserial"),
 }

@@ -1,14 +1,16 @@
-"""Files that are either whole or absent, whatever happens while they are written."""
+"""Files that are either whole or absent, whatever happens while they are written and whoever else writes them."""
 
 from __future__ import annotations
 
 import errno
-import fcntl
+import glob
 import hashlib
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO, Any
 
 from triform.types import TriformError
 
@@ -18,44 +20,70 @@ _LOCK = ".lock"
 def write_atomically(path: Path, data: bytes) -> None:
     """Write a file so that ``path`` is never seen half written, not even after a power cut.
 
-    The bytes go to a temporary name beside it, reach the disk, and only then take their name.
+    The bytes go to a temporary name of their own beside it, reach the disk, and only then take their name. Of several
+    processes that write one file, the last one wins. What a killed one left of it is removed.
 
     Raises:
         TriformError: If the folder cannot be written or the disk is full; ``path`` is then as it was.
     """
-    write_together(path.parent, {path.name: data})
+    temporary = None
+    try:
+        _remove_leftovers(path.parent, f".{glob.escape(path.name)}.*.tmp")
+        temporary, file = _open_temporary(path)
+        with file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+            temporary.replace(path)
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
 
 
-def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files that belong together: none takes its name before the bytes of all have reached the disk.
+def _open_temporary(path: Path) -> tuple[Path, IO[bytes]]:
+    """Create a temporary file beside ``path`` and lock it, so that it is known to have a living writer."""
+    while True:
+        temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
+        file = temporary.open("xb")
+        # On file systems without locks nothing can be known to be a leftover, and none is removed.
+        with suppress(OSError):
+            _lock(file)
+        # Another process may have removed it as a leftover before it was locked.
+        if temporary.exists():
+            return temporary, file
+        file.close()
 
-    Args:
-        folder: Where to; it exists.
-        files: Content by name.
+
+def _remove_leftovers(folder: Path, pattern: str) -> None:
+    """Remove temporary files without a living writer, which would hold its lock on them, as far as possible."""
+    for leftover in folder.glob(pattern):
+        with suppress(OSError), leftover.open("rb+") as file:
+            _lock(file, wait=False)
+            leftover.unlink(missing_ok=True)
+
+
+def _lock(file: IO[Any], *, wait: bool = True) -> None:
+    """Lock an open file until it is closed or its process ends; where Python has no such locks, do nothing.
 
     Raises:
-        TriformError: If the folder cannot be written or the disk is full; the files are then as they were.
+        BlockingIOError: If another process holds it and shall not be waited for.
+        OSError: If the file system has no locks.
     """
-    path, staged = folder, []
     try:
-        for name, data in files.items():
-            path = folder / name
-            staged.append((path.with_name(f".{name}.tmp"), path))
-            with staged[-1][0].open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-        for temporary, path in staged:
-            temporary.replace(path)
-        _sync_folder(folder)
-    except OSError as error:
-        for temporary, _ in staged:
-            temporary.unlink(missing_ok=True)
-        raise cannot_write(path, error) from error
+        import fcntl
+    except ModuleNotFoundError:
+        return
+    fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
 
 
 def _sync_folder(folder: Path) -> None:
     """Make renames inside ``folder`` survive a power cut."""
+    if os.name == "nt":
+        # Windows opens no folders.
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -95,35 +123,51 @@ def make_folder(path: Path) -> None:
 
 
 def remove_temporaries(folder: Path) -> None:
-    """Remove what a killed ``write_atomically`` left in ``folder``.
-
-    Raises:
-        TriformError: If the folder cannot be written.
-    """
-    for leftover in folder.glob(".*.tmp"):
-        try:
-            leftover.unlink(missing_ok=True)
-        except OSError as error:
-            raise cannot_write(leftover, error) from error
+    """Remove what killed processes left of files that they wrote into ``folder``; those of living ones stay."""
+    _remove_leftovers(folder, ".*.tmp")
 
 
 @contextmanager
-def exclusive(folder: Path) -> Iterator[None]:
+def exclusive(folder: Path, *, wait: bool = False) -> Iterator[None]:
     """Hold ``folder`` for this process alone; the system lets go of it even if the process is killed.
+
+    Args:
+        folder: What to hold; it exists.
+        wait: Whether to wait for a process that holds it.
 
     Raises:
         TriformError: If another process holds it, or the folder cannot be written.
     """
     path = folder / _LOCK
-    try:
-        file = path.open("wb")
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    with file:
+    while True:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise TriformError(f"another process is writing into {folder}; wait for it or stop it") from error
+            file = path.open("a+", encoding="utf-8")
         except OSError as error:
-            raise TriformError(f"cannot lock {folder}: {error.strerror or error}") from error
-        yield
+            raise cannot_write(path, error) from error
+        with file:
+            _lock_folder(folder, file, wait=wait)
+            # Whoever held it before may have removed the file meanwhile; another is then locked by others.
+            if not path.exists() or not os.path.samestat(path.stat(), os.fstat(file.fileno())):
+                continue
+            try:
+                file.truncate(0)
+                file.write(f"{os.getpid()}\n")
+                file.flush()
+                yield
+            finally:
+                with suppress(OSError):
+                    path.unlink()
+            return
+
+
+def _lock_folder(folder: Path, file: IO[str], *, wait: bool) -> None:
+    """Lock the lock file of ``folder``; errors as ``exclusive``."""
+    try:
+        _lock(file, wait=wait)
+    except BlockingIOError as error:
+        file.seek(0)
+        holder = file.read(20).strip()
+        who = f" (id {holder})" if holder.isdecimal() else ""
+        raise TriformError(f"another process{who} is writing into {folder}; wait for it or stop it") from error
+    except OSError as error:
+        raise TriformError(f"cannot lock {folder}: {error.strerror or error}") from error

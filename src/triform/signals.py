@@ -7,6 +7,9 @@ import threading
 from collections.abc import Sequence
 from types import FrameType, TracebackType
 
+#: SIGHUP, on systems that have it.
+_HANG_UP = tuple(each for each in signal.Signals if each.name == "SIGHUP")
+
 
 class StopSignals:
     """Notes signals that ask for an end, so that they never cut a message to a robot, a step or a line of a file.
@@ -18,7 +21,7 @@ class StopSignals:
     def __init__(
         self,
         always: Sequence[signal.Signals] = (signal.SIGINT, signal.SIGTERM),
-        unless_ignored: Sequence[signal.Signals] = (signal.SIGHUP,),
+        unless_ignored: Sequence[signal.Signals] = _HANG_UP,
     ) -> None:
         """Note nothing yet.
 

@@ -189,5 +189,5 @@ def test_an_unwritable_folder_is_refused(tmp_path: Path, below: str) -> None:
 
 
 def test_two_collections_into_one_folder_are_refused(tmp_path: Path) -> None:
-    with exclusive(tmp_path), pytest.raises(TriformError, match="another process is writing"):
+    with exclusive(tmp_path), pytest.raises(TriformError, match=f"another process .id {os.getpid()}. is writing"):
         collect(tmp_path, SMALL, engine=LocalEngine(1))

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from triform.dataset import Demonstrations, collect
+from triform.dataset import Demonstrations, collect, load_manifest
+from triform.decode import checksum
 from triform.engines import LocalEngine
 from triform.types import TriformError
 
@@ -97,7 +98,7 @@ def test_an_unfinished_data_set_is_refused(folder: Path) -> None:
         Demonstrations.open(folder)
 
 
-@pytest.mark.parametrize("text", ["", "{", "\x00\x01", '{"format": "triform-demonst'])
+@pytest.mark.parametrize("text", ["", "{", "\x00\x01", '{"format": "triform-demonst', 100_000 * "["])
 def test_a_broken_manifest_is_refused(folder: Path, text: str) -> None:
     (folder / "manifest.json").write_text(text)
     with pytest.raises(TriformError, match=r"manifest\.json cannot be read"):
@@ -109,6 +110,13 @@ def test_a_foreign_manifest_is_refused(folder: Path, value: object) -> None:
     (folder / "manifest.json").write_text(json.dumps(value))
     with pytest.raises(TriformError, match=r"is not the manifest of a data set"):
         Demonstrations.open(folder)
+
+
+def write_manifest(path: Path, values: dict[str, Any], version: object) -> None:
+    """Write a manifest as a version of triform did, with the checksum of what it says if it had one."""
+    rest = {key: value for key, value in values.items() if key not in ("format", "format_version", "sha256")}
+    signed = {} if version == 1 else {"sha256": checksum(rest)}
+    path.write_text(json.dumps({"format": values["format"], "format_version": version, **signed, **rest}))
 
 
 def _set(*keys: Any, value: object) -> Callable[[Any], None]:
@@ -123,7 +131,6 @@ def _set(*keys: Any, value: object) -> Callable[[Any], None]:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (_set("format_version", value=2), "has format version 2"),
         (_set("configuration", "robots", value=-1), "is damaged: robots is -1"),
         (_set("configuration", "runs", value=8), "is damaged"),
         (_set("configuration", value=None), "is damaged"),
@@ -136,6 +143,15 @@ def _set(*keys: Any, value: object) -> Callable[[Any], None]:
         (_set("shards", value=7), "is damaged"),
         (_set("validation_runs", value=[999]), "is damaged"),
         (_set("versions", value=3), "is damaged"),
+        (_set("shards", 0, "bytes", value="x"), "shard"),
+        (_set("shards", 0, "bytes", value=True), "shard"),
+        (_set("shards", 0, "bytes", value=-1), "shard"),
+        (_set("configuration", "steps", value=10**18), "row groups"),
+        (_set("configuration", "runs", value=10**18), "is damaged"),
+        (_set("configuration", "robots", value=10**9), "10000 can be stored"),
+        (_set("configuration", "map", "size", value=10**9), "4096"),
+        (_set("configuration", "distance", value=True), "distance is True; a number is needed"),
+        (_set("configuration", "footprint", "shape", value="cone"), "box or circle"),
     ],
 )
 def test_a_tampered_manifest_is_refused(folder: Path, change: Callable[[Any], None], message: str) -> None:
@@ -143,5 +159,21 @@ def test_a_tampered_manifest_is_refused(folder: Path, change: Callable[[Any], No
     values = json.loads(path.read_text())
     change(values)
     path.write_text(json.dumps(values))
-    with pytest.raises(TriformError, match=message):
+    with pytest.raises(TriformError, match="its checksum differs"):
         Demonstrations.open(folder)
+    for version in (1, 2):
+        write_manifest(path, values, version)
+        with pytest.raises(TriformError, match=message):
+            Demonstrations.open(folder)
+
+
+def test_manifests_of_earlier_versions_are_read(folder: Path) -> None:
+    path = folder / "manifest.json"
+    before = load_manifest(folder)
+    values = json.loads(path.read_text())
+    write_manifest(path, values, 1)
+    assert load_manifest(folder) == before
+    for version in (0, 3, "2", True, None):
+        write_manifest(path, values, version)
+        with pytest.raises(TriformError, match=f"has format version {version!r}"):
+            Demonstrations.open(folder)

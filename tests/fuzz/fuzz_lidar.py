@@ -24,6 +24,7 @@ if __name__ == "__main__":
 
 from tests.robots.lidar_oracle import pack, slow_parse
 from triform.robots.ldrobot import LD19, LD20, PacketParser, TurnAssembler
+from triform.simulation import Mounting
 from triform.types import ScanConfig
 
 
@@ -80,7 +81,9 @@ def check(data: bytes) -> tuple[int, int]:
     head = script.number(1)
     model = (LD19, LD20)[head & 1]
     scan = ScanConfig(1 + script.number(1), script.number(1) / 10 - 12, 0.02, 2.0) if head & 2 else None
-    assembler = TurnAssembler(model, scan, script.number(1) / 20 if head & 4 else 0.0)
+    assembler = TurnAssembler(
+        model, scan, Mounting(yaw=script.number(1) / 20, upright=not head & 8) if head & 4 else None
+    )
     stream, cuts = act(script)
     parser, found, arrival, begin, finished = PacketParser(), [], 0.0, 0, 0
     for end in cuts:

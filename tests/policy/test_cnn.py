@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -118,14 +119,19 @@ def test_other_kinds_of_network_are_refused(exported: Path, tmp_path: Path) -> N
     folder.mkdir()
     for file in exported.iterdir():
         (folder / file.name).write_bytes(file.read_bytes())
-    described = (exported / "model.json").read_text()
-    (folder / "model.json").write_text(described.replace('"kind": "cnn"', '"kind": "mlp"'))
+    described = json.loads((exported / "model.json").read_text()) | {"version": 1}
+    del described["sha256"]
+
+    def describe(**changes: object) -> None:
+        (folder / "model.json").write_text(json.dumps({**described, "network": {**described["network"], **changes}}))
+
+    describe(kind="mlp")
     with pytest.raises(TriformError, match="no network of kind 'mlp'; there are vit, cnn, gnn"):
         read_spec(folder)
-    (folder / "model.json").write_text(described.replace('"kind": "cnn"', '"kind": "vit"'))
+    describe(kind="vit")
     with pytest.raises(TriformError, match="not a readable policy description"):
         read_spec(folder)
-    (folder / "model.json").write_text(described.replace('"outputs": 4', '"outputs": 3'))
+    describe(outputs=3)
     with pytest.raises(TriformError, match="gives 4 numbers; its description says 20 and 3"):
         PolicyRuntime(folder)
 

@@ -13,6 +13,7 @@ import torch
 
 from triform.files import sha256
 from triform.policy import NetworkConfig, PackedMaps, PolicyRuntime, PolicySpec, pack, read_spec
+from triform.policy.checkpoint import graph_path, weights_path
 from triform.policy.export import export_policy
 from triform.policy.vit import VisionTransformer, token_batch
 from triform.policy.weights import load_policy, save_policy
@@ -37,6 +38,21 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_policy(folder, network, SPEC)
     assert export_policy(folder, some_maps(50)).largest <= 1e-4
     return folder
+
+
+def weights_file(folder: Path) -> Path:
+    return weights_path(folder, read_spec(folder))
+
+
+def graph_file(folder: Path) -> Path:
+    return graph_path(folder, read_spec(folder))
+
+
+def describe(folder: Path, **changes: object) -> None:
+    """Describe the policy in ``folder`` otherwise, as earlier versions did, without a checksum."""
+    described = json.loads((folder / "model.json").read_text()) | {"version": 1} | changes
+    described.pop("sha256", None)
+    (folder / "model.json").write_text(json.dumps(described))
 
 
 def copy(folder: Path, to: Path) -> Path:
@@ -113,7 +129,7 @@ def test_eight_bits_give_nearly_the_same_commands(exported: Path, tmp_path: Path
     assert 1e-4 < difference.mean < 2e-2
     assert read_spec(tmp_path / "eight").precision == "int8"
     assert read_spec(exported).precision == "float32"
-    assert (tmp_path / "eight" / "model.safetensors").read_bytes() == (exported / "model.safetensors").read_bytes()
+    assert weights_file(tmp_path / "eight").read_bytes() == weights_file(exported).read_bytes()
     full, eight = PolicyRuntime(exported).commands(packed), PolicyRuntime(tmp_path / "eight").commands(packed)
     assert 0 < np.abs(full - eight).mean() < 2e-2
     alone = PolicyRuntime(tmp_path / "eight").commands(pack(some_maps(200)[7:8], 5))
@@ -148,7 +164,7 @@ def test_an_export_that_cannot_be_written_leaves_the_old_one(
     real = Path.open
 
     def full(self: Path, *arguments: object, **options: object) -> object:
-        if self.parent == folder and self.name == ".model.json.tmp":
+        if self.parent == folder and self.name.startswith(".model.json."):
             raise OSError(28, "No space left on device")
         return real(self, *arguments, **options)
 
@@ -165,9 +181,9 @@ def test_no_maps_give_no_commands(exported: Path) -> None:
 
 
 def test_the_weights_stand_in_one_file_only(exported: Path) -> None:
-    weights = (exported / "model.safetensors").read_bytes()
+    weights = weights_file(exported).read_bytes()
     (length,) = struct.unpack_from("<Q", weights)
-    graph = (exported / "model.onnx").read_bytes()
+    graph = graph_file(exported).read_bytes()
     header = json.loads(weights[8 : 8 + length])
     begin, end = header["blocks.0.qkv.weight"]["data_offsets"]
     assert weights[8 + length + begin : 8 + length + end] not in graph
@@ -180,50 +196,50 @@ def test_a_foreign_or_damaged_folder_is_refused(exported: Path, tmp_path: Path) 
         read_spec(tmp_path)
     broken = copy(exported, tmp_path / "json")
     (broken / "model.json").write_text("{")
-    with pytest.raises(TriformError, match="not a readable policy"):
+    with pytest.raises(TriformError, match=r"model\.json cannot be read"):
         read_spec(broken)
     (broken / "model.json").write_text(json.dumps({"format": "other", "version": 1}))
     with pytest.raises(TriformError, match="does not describe a triform policy"):
         read_spec(broken)
-    (broken / "model.json").write_text(SPEC.to_json().replace('"version": 1', '"version": 99'))
+    (broken / "model.json").write_text(SPEC.to_json().replace('"version": 2', '"version": 99'))
     with pytest.raises(TriformError, match="version 99"):
         read_spec(broken)
-    (broken / "model.json").write_text((exported / "model.json").read_text().replace('"dim": 16', '"dim": 32'))
+    network = json.loads((exported / "model.json").read_text())["network"]
+    (broken / "model.json").write_bytes((exported / "model.json").read_bytes())
+    describe(broken, network={**network, "dim": 32})
     with pytest.raises(TriformError, match="do not fit"):
         load_policy(broken)
 
     truncated = copy(exported, tmp_path / "weights")
-    (truncated / "model.safetensors").write_bytes((exported / "model.safetensors").read_bytes()[:-100])
-    flipped = bytearray((exported / "model.safetensors").read_bytes())
+    flipped = bytearray(weights_file(exported).read_bytes())
     flipped[-5] ^= 1
     for damaged in (bytes(flipped[:-100]), bytes(flipped)):
-        (truncated / "model.safetensors").write_bytes(damaged)
+        weights_file(truncated).write_bytes(damaged)
         for load in (load_policy, PolicyRuntime):
             with pytest.raises(TriformError, match="damaged or belongs to another"):
                 load(truncated)
-    (truncated / "model.safetensors").unlink()
+    weights_file(truncated).unlink()
     with pytest.raises(TriformError, match="cannot read the weights"):
         load_policy(truncated)
 
-    graph = bytearray((exported / "model.onnx").read_bytes())
+    graph = bytearray(graph_file(exported).read_bytes())
     graph[len(graph) // 2] ^= 1
     flipped_graph = copy(exported, tmp_path / "graph")
-    (flipped_graph / "model.onnx").write_bytes(bytes(graph))
+    graph_file(flipped_graph).write_bytes(bytes(graph))
     with pytest.raises(TriformError, match=r"graph .* is damaged"):
         PolicyRuntime(flipped_graph)
 
     foreign = copy(exported, tmp_path / "foreign")
-    (foreign / "model.json").write_text((foreign / "model.json").read_text().replace('"patch": 5', '"patch": 4'))
+    describe(foreign, network={**network, "patch": 4})
     with pytest.raises(TriformError, match="patches of width 25"):
         PolicyRuntime(foreign)
-    nonsense = json.loads((exported / "model.json").read_text()) | {"onnx_sha256": sha256(b"nonsense")}
-    (foreign / "model.json").write_text(json.dumps(nonsense))
+    describe(foreign, onnx_sha256=sha256(b"nonsense"))
     (foreign / "model.onnx").write_bytes(b"nonsense")
     with pytest.raises(TriformError, match="cannot load the policy"):
         PolicyRuntime(foreign)
 
     bare = copy(exported, tmp_path / "bare")
-    (bare / "model.onnx").unlink()
+    graph_file(bare).unlink()
     with pytest.raises(TriformError, match="triform export"):
         PolicyRuntime(bare)
     with pytest.raises(ConfigurationError, match="threads"):
@@ -254,8 +270,7 @@ def test_a_failed_write_leaves_the_old_policy(exported: Path, tmp_path: Path, mo
     with pytest.raises(TriformError, match="no space left"):
         save_policy(folder, VisionTransformer(SPEC.network), SPEC)
     monkeypatch.undo()
-    assert sorted(f.name for f in folder.iterdir()) == ["model.json", "model.onnx", "model.safetensors"]
-    assert (folder / "model.safetensors").read_bytes() == (exported / "model.safetensors").read_bytes()
+    assert {f.name: f.read_bytes() for f in folder.iterdir()} == {f.name: f.read_bytes() for f in exported.iterdir()}
 
 
 def test_what_a_policy_uses_of_a_scan_scales_with_the_distance() -> None:
@@ -303,7 +318,7 @@ def test_distances_that_were_not_trained_are_refused(distance: float) -> None:
 
 def test_distances_rest_and_pushes_come_back(tmp_path: Path) -> None:
     spec = replace(SPEC, distances=(0.6, 1.5), rest_speed=0.02, least_push=0.05)
-    assert PolicySpec.from_json(spec.to_json(), "here") == spec
+    assert PolicySpec.from_json(spec.to_json().encode(), "here") == spec
     save_policy(tmp_path / "policy", VisionTransformer(spec.network), spec)
     back = read_spec(tmp_path / "policy")
     assert back == replace(spec, weights_sha256=back.weights_sha256)
@@ -311,18 +326,19 @@ def test_distances_rest_and_pushes_come_back(tmp_path: Path) -> None:
 
 
 def test_descriptions_of_earlier_releases_are_read() -> None:
-    data = json.loads(SPEC.to_json())
+    data = json.loads(SPEC.to_json()) | {"version": 1}
+    del data["sha256"]
     for name in ("distances", "rest_speed", "least_push", "precision"):
         del data[name]
     data["network"].pop("kind", None)
-    old = PolicySpec.from_json(json.dumps(data), "here")
+    old = PolicySpec.from_json(json.dumps(data).encode(), "here")
     assert old == SPEC
     assert (old.distances, old.rest_speed, old.least_push) == (None, 0.0, 0.0)
     for strange in ([0.6], [0.6, 1.0, 1.5], "far", 7, [1.5, 0.6], ["a", "b"]):
         with pytest.raises(TriformError, match=r"readable policy|must hold the distance"):
-            PolicySpec.from_json(json.dumps({**data, "distances": strange}), "here")
+            PolicySpec.from_json(json.dumps({**data, "distances": strange}).encode(), "here")
     with pytest.raises(TriformError, match="not a readable policy"):
-        PolicySpec.from_json(json.dumps({**data, "colour": "red"}), "here")
+        PolicySpec.from_json(json.dumps({**data, "colour": "red"}).encode(), "here")
 
 
 @pytest.mark.parametrize(

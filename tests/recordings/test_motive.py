@@ -129,6 +129,59 @@ def test_blank_cells_are_gaps_and_bodies_come_and_go(tmp_path):
     assert [sentence.split(": ")[-1] for sentence in recording.changes] == ["robot ep 3 goes at 6.12 s"]
 
 
+def swapped(path, ups):
+    """Exchange the positions' columns of a take, so that they have another axis up."""
+    lines = [line.split(",") for line in path.read_bytes().decode().split("\r\n")]
+    kinds, parts, axes = lines[2], lines[5], lines[6]
+    for row in lines[7:]:
+        old = list(row)
+        for index, (kind, part) in enumerate(zip(kinds, parts, strict=True)):
+            if kind == "Rigid Body" and part == "Position" and index < len(row):
+                row[index] = old[index + "XYZ".index(ups["XYZ".index(axes[index])]) - "XYZ".index(axes[index])]
+    path.write_bytes("\r\n".join(",".join(row) for row in lines).encode())
+    return path
+
+
+def still(places, seconds=8.0):
+    time = np.arange(0, seconds + 0.01, 0.125)
+    poses = np.zeros((1, len(time), len(places), 3))
+    poses[..., :2] = places
+    return Trajectory(time, poses, np.ones(poses.shape[:3], bool), np.zeros((1, len(time) - 1, len(places), 3)))
+
+
+TRIANGLE = [[0.0, 0.0], [1.0, 0.0], [0.5, 0.866]]
+
+
+@pytest.mark.parametrize("places", [TRIANGLE, "driven"])
+@pytest.mark.parametrize("ups", ["YXZ", "XZY"])
+def test_positions_with_another_axis_up_than_attitudes_are_refused(tmp_path, places, ups):
+    trajectory = driven() if places == "driven" else still(places)
+    path = write_take(tmp_path / "take.csv", trajectory)
+    assert len(read_recordings(path)) == 1
+    with pytest.raises(TriformError, match="robots on a floor have nearly one height") as caught:
+        read_recordings(swapped(path, ups))
+    assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(2, 6), st.integers(0, 2**32 - 1), st.floats(-np.pi, np.pi))
+def test_takes_of_any_formation_on_a_floor_are_read(tmp_path_factory, robots, seed, turn):
+    rng = np.random.default_rng(seed)
+    places = np.cumsum(np.abs(rng.normal(0.7, 0.2, (robots, 2))), axis=0)
+    cos, sin = np.cos(turn), np.sin(turn)
+    path = write_take(tmp_path_factory.mktemp("take") / "take.csv", still(places @ [[cos, sin], [-sin, cos]], 6.0))
+    assert len(read_recordings(path)[0].robots) == robots
+
+
+@pytest.mark.parametrize(("name", "encoding"), [("Prüfung für Köln", "cp1252"), ("実験、三角形", "shift_jis")])
+def test_a_take_may_be_named_in_any_encoding(tmp_path, name, encoding):
+    path = write_take(tmp_path / "take.csv", driven())
+    text = path.read_bytes().decode()
+    whole = read_recordings(path)[0].trajectory
+    path.write_bytes(text.replace("a take, of robots", name).encode(encoding))
+    np.testing.assert_array_equal(read_recordings(path)[0].trajectory.poses, whole.poses)
+
+
 def test_seen_from_above_counter_clockwise_turns_and_triangles_stay_so():
     # A quarter turn about Motive's y axis, which points up: from its z axis, our x, to its x axis, our y.
     front, up = axes_of_quaternion(np.array([[0, np.sin(np.pi / 4), 0, np.cos(np.pi / 4)]]).T)
@@ -171,6 +224,18 @@ def test_exports_of_other_kinds_are_refused(tmp_path, options, says):
         ("Rotation Type,Quaternion", "Rotation Type,Matrix", "rotation type 'Matrix'"),
         ("Rigid Body", "Skeleton", "no rigid bodies"),
         ("Frame,", "Picture,", "no lines Type, Name and Frame"),
+        (
+            "Export Frame Rate,8.0",
+            "Export Frame Rate,120.0",
+            "export frame rate of 120 Hz, but 8 records per second",
+        ),
+        ("Format Version,1.23", "Format Version;1.23", "has semicolons between its columns; commas are needed"),
+        (",X,Y,Z,W,", ",X,Z,W,Y,", "is tilted by"),
+        (
+            "\r\n0,0.000000,",
+            "\r\n0,0.000000,9",
+            "the rigid body .ep 0. are no quaternions of length 1",
+        ),
         (",X,Y,Z,W,", ",X,Y,Z,V,", "the rigid body 'ep 0' has no column Rotation W"),
         ("\r\n7,", "\r\n7,late", "line 15, column time: 'late0.875000' is not a number"),
     ],

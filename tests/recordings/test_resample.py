@@ -184,7 +184,19 @@ HEADINGS = "time,robot,x,y,heading"
     ("text", "says"),
     [
         ("", "there is no time"),
-        ("time;robot;x;y;heading\n0;0;0;0;0", "needs the columns time, robot, x, y, heading, each once"),
+        ("time;robot;x;y;heading\n0;0;0;0;0", "has semicolons between its columns; commas are needed"),
+        ("time\trobot\tx\ty\theading\n0\t0\t0\t0\t0", "has tabs between its columns; commas are needed"),
+        ("robot,place\n0,0", "needs the columns time, robot, x, y, heading, each once"),
+        (
+            "\n".join(
+                [HEADINGS, *(f"{t:g},{robot},{1000 * robot + 2000 * t:g},0,0" for t in TIMES for robot in (0, 1))]
+            ),
+            "robot 0 moves at 2e.03 m/s by its positions and times; metres and seconds are needed",
+        ),
+        (
+            "\n".join([HEADINGS, *(f"{t:g},{robot},{robot},0,{170 + robot}" for t in TIMES for robot in (0, 1))]),
+            "headings such as 171; they look like degrees, radians are needed",
+        ),
         ("time,robot,x,y\n0,0,0,0", "there is no heading"),
         ("time,robot,x,x,y,heading\n0,0,0,0,0,0", "there are several x"),
         (HEADINGS, "holds no poses"),
@@ -212,6 +224,14 @@ def test_what_cannot_be_measured_is_refused_in_one_sentence(tmp_path, text, says
         read_recordings(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "latin-1"])
+def test_names_of_robots_in_any_encoding_stay_apart(tmp_path, encoding):
+    lines = [f"{t:g},{name},{x},0,0" for t in TIMES for x, name in enumerate(("grün", "blau", "weiß"))]
+    (tmp_path / "run.csv").write_bytes("\n".join([HEADINGS, *lines]).encode(encoding))
+    (recording,) = read_recordings(tmp_path / "run.csv")
+    assert recording.robots == ("blau", "grün", "weiß")
 
 
 def test_gaps_are_bridged_up_to_the_longest_one(tmp_path):

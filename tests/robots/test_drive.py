@@ -9,10 +9,14 @@ import os
 import resource
 import signal
 import time
+import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 
 from triform.commands.drive_screen import DriveScreen, StatusLine
@@ -21,11 +25,12 @@ from triform.control import ControllerSpec
 from triform.robots import drive as drive_module
 from triform.robots.drive import DriveConfig, run_drive
 from triform.robots.laser_scan import Turn
-from triform.robots.latency import Budget
+from triform.robots.latency import Budget, Durations
+from triform.robots.ldrobot import LidarModel
 from triform.robots.real import Step
 from triform.robots.recorder import CsvLog
 from triform.signals import StopSignals
-from triform.simulation import ROBOMASTER_EP, Arena, cast_scans
+from triform.simulation import HARDWARE, ROBOMASTER_EP, Arena, Mounting, cast_scans, profile_toml
 from triform.types import ConfigurationError, Scan, ScanConfig, TriformError, View
 
 
@@ -35,10 +40,10 @@ class FakeLidar:
     lost_after: float | None = None
     silent_after: float | None = None
 
-    def __init__(self, path: str, model: object, scan: ScanConfig, mounting: float) -> None:
-        self.scan, self.began = scan, time.monotonic()
+    def __init__(self, path: str, model: LidarModel, mounting: Mounting) -> None:
+        self.scan, self.began = model.scan_config(), time.monotonic()
         poses = np.array([[[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]]])
-        exact = cast_scans(poses, np.ones((1, 2), bool), ROBOMASTER_EP, Arena.open(), scan, dtype=np.float32)
+        exact = cast_scans(poses, np.ones((1, 2), bool), ROBOMASTER_EP, Arena.open(), self.scan, dtype=np.float32)
         self.ranges = exact[0, 0]
 
     def __enter__(self) -> FakeLidar:
@@ -306,12 +311,29 @@ def test_controllers_that_see_poses_are_refused(name: str) -> None:
         {"seed": -1},
         {"start_pose": (0.0, np.nan, 0.0)},
         {"mounting": np.inf},
+        {"lidar_position": (0.0, np.nan)},
+        {"blind_sector": ("10-20",)},
+        {"blind_sector": ("0:180", "180:360")},
+        {"blind_sector": ("90:450",)},
         {"footprint": "box:0.3x-0.2"},
     ],
 )
 def test_bad_settings_are_refused(setting: dict[str, object]) -> None:
     with pytest.raises(ConfigurationError):
         DriveConfig(**setting)  # type: ignore[arg-type]
+
+
+def test_the_mounting_is_the_profiles_and_the_options_replace_it(tmp_path: Path) -> None:
+    mounting = Mounting(0.1, -0.05, 1.0, upright=False, blind_sectors=((170.0, 190.0),))
+    file = tmp_path / "mine.toml"
+    file.write_text(profile_toml(replace(HARDWARE, mounting=mounting)), encoding="utf-8")
+    assert DriveConfig(profile=str(file)).mounted == mounting
+    changed = DriveConfig(
+        profile=str(file), mounting=0.5, lidar_position=(0.0, 0.0), blind_sector=("350:10", "-95:-85")
+    )
+    sectors = ((170.0, 190.0), (350.0, 10.0), (-95.0, -85.0))
+    assert changed.mounted == Mounting(0.0, 0.0, 0.5, upright=False, blind_sectors=sectors)
+    assert DriveConfig(upside_down=True).mounted == Mounting(upright=False)
 
 
 def test_where_the_base_is() -> None:
@@ -350,3 +372,42 @@ def test_scans_that_no_command_used_are_missed() -> None:
     assert (found["steps"], found["late_ticks"], found["blind_steps"]) == (6, 1, 0)
     assert found["seconds"]["send"]["max"] == pytest.approx(0.01)
     assert "map" not in found["seconds"]
+
+
+@given(
+    st.lists(st.floats(1e-5, 100.0), min_size=1, max_size=50),
+    st.sampled_from([1, 7, 1000]),
+)
+def test_durations_have_the_quantiles_of_numpy(seconds: list[float], times: int) -> None:
+    durations = Durations()
+    for _ in range(times):
+        for each in seconds:
+            durations.add(each)
+    found = durations.summary()
+    everything = np.repeat(seconds, times)
+    for name, share in (("median", 0.5), ("p95", 0.95)):
+        low, high = (np.quantile(everything, share, method=method) for method in ("inverted_cdf", "higher"))
+        assert low * 0.998 <= found[name] <= high * 1.002
+    assert found["max"] == max(seconds)
+    assert found["median"] <= found["p95"] <= found["max"]
+
+
+def test_a_long_drive_needs_no_more_memory_than_a_short_one() -> None:
+    config = ScanConfig(rays=8)
+    view = View(Scan(np.ones((1, 1, 8)), config), np.ones((1, 1), bool), 0.0)
+    budget = Budget()
+
+    def steps(count: int) -> None:
+        for k in range(count):
+            turn = Turn(np.ones(8), 0.1 * k, 0.1 * k + 0.1)
+            budget.add(Step(1.0, 1.01, 1.02 + k * 1e-6, turn, view, np.zeros(3), None, blind=False, late=False))
+
+    steps(100)
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        steps(10_000)
+        assert tracemalloc.get_traced_memory()[0] - before < 20_000
+    finally:
+        tracemalloc.stop()
+    assert budget.summary()["steps"] == 10_100

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from triform.robots.laser_scan import LaserScan
+from triform.simulation import Mounting
 from triform.types import ConfigurationError, ScanConfig
 
 GRID = ScanConfig(rays=450)
@@ -88,13 +89,27 @@ def test_the_mounting_turns_a_scan() -> None:
     ahead = np.full(GRID.rays, np.inf, np.float32)
     ahead[np.abs(GRID.angles) < 0.1] = 1.0
     scan = scan_of(ahead, GRID.angle_min, GRID.angle_increment)
-    left = scan.on_grid(ScanConfig(rays=GRID.rays, angle_min=-math.pi - math.pi / 2))
+    left = scan.mounted(Mounting(yaw=math.pi / 2)).on_grid(GRID)
     assert np.abs(GRID.angles[np.isfinite(left)] - math.pi / 2).max() < 0.12
+
+
+@settings(deadline=None, max_examples=50)
+@given(seed=seeds, yaw=st.integers(0, GRID.rays - 1), clockwise=st.booleans())
+def test_a_lidar_that_hangs_upside_down_sees_what_an_upright_one_sees(seed: int, yaw: int, clockwise: bool) -> None:
+    """Hanging, it sweeps the same surroundings the other way round: ray k of the base is its own ray at yaw - angle."""
+    ranges = random_ranges(GRID.rays, seed)
+    mounting = Mounting(yaw=yaw * GRID.angle_increment, upright=False)
+    sign = -1 if clockwise else 1
+    own = GRID.angle_min + sign * GRID.angle_increment * np.arange(GRID.rays)
+    towards = np.rint((mounting.yaw - own - GRID.angle_min) / GRID.angle_increment).astype(int) % GRID.rays
+    hanging = scan_of(ranges[towards], own[0], sign * GRID.angle_increment)
+    upright = scan_of(ranges, GRID.angle_min, GRID.angle_increment)
+    np.testing.assert_array_equal(hanging.mounted(mounting).on_grid(GRID), upright.on_grid(GRID))
 
 
 def test_what_is_no_range_is_told_by_rep_117() -> None:
     sent = np.array([np.nan, np.inf, -np.inf, 0.0, -1.0, 0.05, 0.1, 1.5, 1.6, 5.0], np.float32)
-    told = np.array([np.nan, np.inf, -np.inf, np.nan, np.nan, -np.inf, 0.1, 1.5, np.inf, np.inf], np.float32)
+    told = np.array([np.nan, np.inf, -np.inf, np.nan, np.nan, -np.inf, 0.1, 1.5, 1.6, np.inf], np.float32)
     grid = ScanConfig(rays=10, range_max=1.55)
     scan = scan_of(sent, grid.angle_min, grid.angle_increment, range_min=0.1, range_max=4.0)
     np.testing.assert_array_equal(scan.on_grid(grid), told)

@@ -24,7 +24,8 @@ from triform.robots.ldrobot import (
     PacketParser,
     Packets,
 )
-from triform.simulation import ROBOMASTER_EP, Arena, cast_scans
+from triform.robots.real import RealRobot
+from triform.simulation import ROBOMASTER_EP, Arena, Drive, Mounting, Placement, cast_scans
 from triform.types import ConfigurationError, FloatArray, ScanConfig, TriformError
 
 #: How long anything may take on a busy machine [s].
@@ -54,6 +55,44 @@ def flat(angles: FloatArray) -> FloatArray:
     return np.full(angles.shape, 1.5)
 
 
+@pytest.mark.parametrize("model", [LD19, LD20])
+def test_a_robot_stands_when_its_lidar_goes_blind_and_goes_on_when_it_sees_again(model: LidarModel) -> None:
+    """Packets stay valid, but every distance becomes 0, as under a cover."""
+    covered = threading.Event()
+    said: list[str] = []
+    sent: list[tuple[float, float]] = []
+
+    def look(angles: FloatArray) -> FloatArray:
+        return np.full(angles.shape, np.inf if covered.is_set() else 1.5)
+
+    emulator = LidarEmulator(model, np.random.default_rng(12))
+    with emulator, spinning(emulator, look), LidarPort(emulator.path, model) as port:
+        robot = RealRobot(
+            port, None, 0.02, 1, Drive(),
+            placement=Placement(model.scan_config(2.0)), warn=said.append,
+            on_sent=lambda step: sent.append((step.sent, float(step.command[0]))),
+        )  # fmt: skip
+
+        def drive_until(moves: bool) -> None:
+            began = time.monotonic()
+            while not sent or (sent[-1][1] > 0) != moves:
+                assert time.monotonic() - began < PATIENCE
+                robot.observe()
+                robot.apply(np.full((1, 1, 3), 0.1), robot.control_period)
+
+        drive_until(moves=True)
+        covered.set()
+        began = time.monotonic()
+        drive_until(moves=False)
+        # Four turns, of which the first saw something yet, and what a busy machine takes.
+        assert sent[-1][0] - began < 4 * model.period + 1.0
+        speeds = [speed for at, speed in sent if at > began]
+        assert speeds == sorted(speeds, reverse=True)
+        assert sum("until it sees again" in sentence for sentence in said) == 1
+        covered.clear()
+        drive_until(moves=True)
+
+
 def failure_of(port: LidarPort) -> str:
     """What a port says when it has failed."""
 
@@ -68,8 +107,9 @@ def failure_of(port: LidarPort) -> str:
     return str(caught.value)
 
 
+@pytest.mark.parametrize("mounting", [Mounting(), Mounting(yaw=0.7, upright=False)], ids=["upright", "upside down"])
 @pytest.mark.parametrize("model", [LD19, LD20])
-def test_what_the_simulator_casts_comes_out_of_the_port(model: LidarModel) -> None:
+def test_what_the_simulator_casts_comes_out_of_the_port(model: LidarModel, mounting: Mounting) -> None:
     """Within the millimetre of the protocol and the angular step of the grid, left and right included."""
     poses = np.array([[[0.0, 0.0, 0.3], [1.0, 0.2, 1.0], [-0.4, 1.1, -2.0], [-1.0, -0.9, 0.0]]])
     active = np.ones((1, 4), dtype=bool)
@@ -80,7 +120,11 @@ def test_what_the_simulator_casts_comes_out_of_the_port(model: LidarModel) -> No
         return np.asarray(exact[np.rint((angles + np.pi) / fine.angle_increment).astype(int) % fine.rays])
 
     rng = np.random.default_rng(1)
-    with LidarEmulator(model, rng) as emulator, spinning(emulator, look), LidarPort(emulator.path, model) as port:
+    with (
+        LidarEmulator(model, rng, mounting=mounting) as emulator,
+        spinning(emulator, look),
+        LidarPort(emulator.path, model, mounting=mounting) as port,
+    ):
         turn = port.wait(time.monotonic() + 0.1, PATIENCE)
         later = port.wait(turn.ended, PATIENCE)
         # A busy machine may hold the emulator up for so long that the terminal overflows.
@@ -99,7 +143,7 @@ def test_what_the_simulator_casts_comes_out_of_the_port(model: LidarModel) -> No
 
 
 def test_the_emulator_sends_plausible_packets() -> None:
-    emulator = LidarEmulator(LD20, np.random.default_rng(2), mounting=0.5)
+    emulator = LidarEmulator(LD20, np.random.default_rng(2), mounting=Mounting(yaw=0.5))
     with emulator, emulator.path.open("rb", buffering=0) as terminal:
         angles, stream = [], b""
         assert emulator.due(100.0).shape == (0,)

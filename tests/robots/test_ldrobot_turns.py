@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from tests.robots.lidar_oracle import pack, slow_turn
 from triform.robots.laser_scan import Turn
 from triform.robots.ldrobot import LD19, LD20, MODELS, LidarModel, PacketParser, TurnAssembler
+from triform.simulation import Mounting
 from triform.types import ConfigurationError, ScanConfig
 
 
@@ -68,12 +70,16 @@ def assemble(assembler: TurnAssembler, sent: list[Sent], delay: Callable[[int], 
     model=st.sampled_from([LD19, LD20]),
     rays=st.sampled_from([None, 360, 450, 667]),
     # No sample lies just on the edge of a turn or of a ray's reach, where rounding decides.
-    mounting=st.integers(-400, 400).map(lambda degrees: math.radians(degrees + 0.0037)),
+    mounting=st.builds(
+        lambda degrees, upright: Mounting(yaw=math.radians(degrees + 0.0037), upright=upright),
+        st.integers(-400, 400),
+        st.booleans(),
+    ),
     slow_down=st.floats(-0.3, 0.3),
     lost=st.sampled_from([0.0, 0.1, 0.4]),
 )
 def test_every_ray_has_the_sample_nearest_in_angle(
-    seed: int, model: LidarModel, rays: int | None, mounting: float, slow_down: float, lost: float
+    seed: int, model: LidarModel, rays: int | None, mounting: Mounting, slow_down: float, lost: float
 ) -> None:
     rng = np.random.default_rng(seed)
     scan = ScanConfig(rays or model.rays, -math.pi, 0.02, 7.5)
@@ -84,12 +90,15 @@ def test_every_ray_has_the_sample_nearest_in_angle(
     sent = [each for each in sent if rng.random() >= lost]
     turns = assemble(TurnAssembler(model, scan, mounting), sent)
 
-    seam = math.degrees(mounting - scan.angle_min + scan.angle_increment / 2)
+    # The LiDAR's own angle, clockwise, at which it passes the gap between the last ray and the first.
+    seam = mounting.direction * math.degrees(mounting.yaw - scan.angle_min + scan.angle_increment / 2)
     by_turn: dict[int, list[tuple[float, float]]] = {}
     for each in sent:
         for angle, distance in zip(each.angles, each.distances, strict=True):
             turn = math.floor((angle / 100 - seam) / 360)
-            by_turn.setdefault(turn, []).append((mounting - math.radians(angle / 100), distance / 1000))
+            by_turn.setdefault(turn, []).append(
+                (mounting.yaw - mounting.direction * math.radians(angle / 100), distance / 1000)
+            )
     reach = 0.75 * max(scan.angle_increment, 2 * math.pi / model.rays)
     expected = [slow_turn(samples, scan.angles, reach) for samples in by_turn.values()]
     # The first and the last are parts of turns.
@@ -225,15 +234,16 @@ def test_of_equally_near_samples_the_nearer_range_counts() -> None:
 
 
 def test_left_is_left() -> None:
-    """A LiDAR counts clockwise: what it sees at 90 degrees is on the robot's right."""
+    """A LiDAR counts clockwise: what it sees at 90 degrees is on its right, and on its left if it hangs upside down."""
     sent = [
         pack(3600, start, [(1000 if 8000 < start < 9500 else 5000, 9)] * 12, (start + 880) % 36000, int(k * 8 / 3))
         for k, start in enumerate(np.arange(0, 96000, 960) % 36000)
     ]
-    for mounting in (0.0, math.pi / 2, math.pi):
+    for yaw, upright in itertools.product((0.0, math.pi / 2, math.pi), (True, False)):
+        mounting = Mounting(yaw=yaw, upright=upright)
         (turn, *_) = TurnAssembler(LD19, mounting=mounting).add(PacketParser().feed(b"".join(sent)), 5.0)
         seen = LD19.scan_config().angles[turn.ranges < 2]
-        assert abs(math.remainder(seen[len(seen) // 2] - (mounting - math.pi / 2), 2 * math.pi)) < 0.2
+        assert abs(math.remainder(seen[len(seen) // 2] - (yaw - mounting.direction * math.pi / 2), 2 * math.pi)) < 0.2
 
 
 def test_models_are_checked() -> None:
@@ -243,5 +253,3 @@ def test_models_are_checked() -> None:
         LidarModel("none", 4500, 0, 0.1, 8)
     with pytest.raises(ConfigurationError, match="range_min"):
         LidarModel("none", 4500, 0.1, 9, 8)
-    with pytest.raises(ConfigurationError, match="mounting is nan"):
-        TurnAssembler(LD19, mounting=math.nan)

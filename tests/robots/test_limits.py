@@ -43,7 +43,7 @@ def test_braking_and_reversing_are_not_delayed() -> None:
 
 
 def test_poses_between_two_are_on_the_way_and_the_motion_goes_on_for_a_moment() -> None:
-    history = Track(angle=True)
+    history = Track([np.inf] * 3, angle=True)
     assert history.at(0.0) is None
     for step in range(11):
         time = 0.1 * step
@@ -58,7 +58,7 @@ def test_poses_between_two_are_on_the_way_and_the_motion_goes_on_for_a_moment() 
 
 
 def test_poses_are_forgotten_and_a_clock_that_jumps_back_starts_anew() -> None:
-    history = Track(angle=True)
+    history = Track([np.inf] * 3, angle=True)
     for time in range(150):
         history.add(float(time), np.zeros(3))
     assert history.at(49.0) is None

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from triform.control import drive
 from triform.robots.laser_scan import Turn
 from triform.robots.real import RealRobot, Step
-from triform.simulation import Drive, integrate
+from triform.simulation import ROBOMASTER_EP, Drive, Placement, integrate
 from triform.types import ConfigurationError, ScanConfig, TriformError, View
 
 SCAN = ScanConfig(rays=90)
@@ -99,8 +99,81 @@ def test_an_old_scan_is_no_scan_and_stops_the_robot_once_announced() -> None:
     assert len(said) == 2
 
 
+class Eyes:
+    """A LiDAR that hands out turns one by one, and a robot that drives on."""
+
+    def __init__(self, first: np.ndarray, **options: object) -> None:
+        self.said: list[str] = []
+        self.base, self.lidar = FakeBase(), FakeLidar()
+        self.robot = make_robot(self.lidar, self.base, 1e-4, warn=self.said.append, **options)
+        self.show(first)
+
+    def show(self, ranges: np.ndarray) -> float:
+        """Drive a step by a new turn; return the share of the command that is sent."""
+        now = time.monotonic()
+        self.lidar.turn = Turn(ranges.astype(np.float32), now - 0.1, now)
+        self.robot.observe()
+        self.robot.apply(np.full((1, 1, 3), 0.05), 1e-4)
+        return float(self.base.commands[-1][0] / 0.05)
+
+
+FREE = np.full(SCAN.rays, np.inf)
+SOMEBODY = np.where(np.arange(SCAN.rays) == 40, 1.0, np.inf)
+
+
+@pytest.mark.parametrize(
+    "blind",
+    [FREE, np.full(SCAN.rays, np.nan), np.where(np.arange(SCAN.rays) < 46, np.nan, 1.0)],
+    ids=["no return", "no measurement", "more than half unknown"],
+)
+def test_a_robot_whose_lidar_measures_nothing_slows_stands_says_so_once_and_goes_on(blind: np.ndarray) -> None:
+    eyes = Eyes(SOMEBODY)
+    assert [round(eyes.show(blind), 6) for _ in range(6)] == [0.666667, 0.333333, 0, 0, 0, 0]
+    assert len(eyes.said) == 1
+    assert "stands still until it sees again" in eyes.said[0]
+    assert eyes.show(SOMEBODY) == 1
+    assert eyes.show(blind) == pytest.approx(2 / 3)
+    assert len(eyes.said) == 1
+
+
+def test_a_robot_that_has_never_seen_anything_stands_from_its_first_turn_on() -> None:
+    eyes = Eyes(FREE)
+    assert [eyes.show(FREE) for _ in range(3)] == [0, 0, 0]
+    assert len(eyes.said) == 1
+
+
+def test_a_return_from_beyond_what_the_robot_uses_shows_that_its_lidar_measures() -> None:
+    eyes = Eyes(7 * SOMEBODY, placement=Placement(SCAN))
+    assert [eyes.show(7 * SOMEBODY) for _ in range(5)] == [1] * 5
+    assert np.isposinf(eyes.robot.observe().scans.ranges).all()
+
+
+def test_the_same_turn_seen_again_and_again_counts_once() -> None:
+    eyes = Eyes(SOMEBODY)
+    eyes.show(FREE)
+    for _ in range(5):
+        eyes.robot.observe()
+        eyes.robot.apply(np.full((1, 1, 3), 0.05), 1e-4)
+    assert eyes.base.commands[-1][0] == pytest.approx(0.05 * 2 / 3)
+
+
+def test_what_is_within_the_robots_own_outline_is_unknown_said_once_and_no_sign_of_sight() -> None:
+    placement = Placement(SCAN, body=ROBOMASTER_EP.body)
+    arm = np.where(np.abs(SCAN.angles) < 0.2, 0.12, np.inf)
+    eyes = Eyes(arm, placement=placement)
+    assert [eyes.show(arm) for _ in range(4)] == [0] * 4
+    ranges = eyes.robot.observe().scans.ranges[0, 0]
+    np.testing.assert_array_equal(np.isnan(ranges), np.abs(SCAN.angles) < 0.2)
+    assert [("own outline" in sentence, "stands" in sentence) for sentence in eyes.said] == [
+        (True, False),
+        (False, True),
+    ]
+    assert eyes.show(np.where(arm < 1, arm, SOMEBODY)) == 1
+    assert len(eyes.said) == 2
+
+
 @settings(deadline=None, max_examples=30)
-@given(st.tuples(*[st.floats(-0.5, 0.5)] * 3), st.floats(0.0, 0.4), st.floats(0.05, 0.3))
+@given(st.tuples(*[st.floats(-0.1, 0.1)] * 2, st.floats(-0.5, 0.5)), st.floats(0.0, 0.4), st.floats(0.05, 0.3))
 def test_moved_is_where_the_robot_is_seen_from_the_middle_of_the_turn(
     twist: tuple[float, float, float], age: float, length: float
 ) -> None:
@@ -117,6 +190,29 @@ def test_moved_is_where_the_robot_is_seen_from_the_middle_of_the_turn(
     slack = 1e-9 + np.abs(base.twist).max() * (after - before) * 2
     assert odometry is not None
     assert np.abs(odometry[0, 0] - earliest).max() <= slack + np.abs(latest - earliest).max()
+
+
+class LeapingBase(FakeBase):
+    """Says something wrong now, after the truth."""
+
+    def __init__(self, wrong: list[float]) -> None:
+        super().__init__()
+        self.wrong = wrong
+
+    def odometry(self, at: float) -> np.ndarray | None:
+        return np.array(self.wrong) if at > time.monotonic() - 0.05 else np.zeros(3)
+
+
+@pytest.mark.parametrize("wrong", [1000.0, 1e308, -1e308, np.nan, np.inf])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_what_no_wheels_can_have_done_is_no_odometry(wrong: float, axis: int) -> None:
+    pose = [0.0, 0.0, 0.0]
+    pose[axis] = wrong
+    odometry = make_robot(FakeLidar(fresh_turn()), LeapingBase(pose)).observe().odometry
+    if odometry is not None:
+        # A heading is wrapped, and some turn is near.
+        assert axis == 2
+        assert np.abs(odometry).max() <= np.pi
 
 
 def test_no_odometry_where_the_base_does_not_know_or_nobody_wants_it() -> None:

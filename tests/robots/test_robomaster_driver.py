@@ -3,7 +3,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import socket
 import time
 
 import numpy as np
@@ -145,6 +144,56 @@ def test_telemetry_goes_on_between_what_it_is_told(emulator):
         until(lambda: told(base, [1.0, 2.1, math.pi / 2]))
 
 
+def test_a_leap_of_the_odometry_is_unknown_until_the_robot_says_it_again(emulator):
+    with connect(emulator) as base:
+        emulator.tell(np.zeros(3), np.zeros(3))
+        until(lambda: told(base, np.zeros(3)))
+        emulator.tell(np.array([1000.0, 0.0, 0.0]), np.zeros(3))
+        until(lambda: base.odometry(time.monotonic()) is None)
+        until(lambda: told(base, [1000.0, 0.0, 0.0]))
+        emulator.tell(np.array([1e300, np.nan, 0.0]), np.zeros(3))
+        until(lambda: base.odometry(time.monotonic()) is None)
+
+
+def test_answers_may_come_in_any_pieces(emulator):
+    emulator.pieces = True
+    with connect(emulator) as base:
+        assert base.battery == 100
+        for _ in range(20):
+            base.drive(np.array([0.1, 0.0, 0.0]))
+            time.sleep(0.01)
+        until_driven(emulator, [0.1, 0.0, 0.0])
+        base.stop()
+
+
+def test_old_firmware_ends_its_answers_with_nothing(emulator, monkeypatch):
+    monkeypatch.setattr("triform.robots.robomaster.driver._PAUSE", 0.1)
+    emulator.end = ""
+    with connect(emulator) as base:
+        assert base.battery == 100
+        for _ in range(20):
+            base.drive(np.array([0.1, 0.0, 0.0]))
+            time.sleep(0.01)
+        until_driven(emulator, [0.1, 0.0, 0.0])
+        emulator.error = "fail"
+        with pytest.raises(RoboMasterError, match='it says "fail'):
+            keep_driving(base)
+
+
+def test_what_a_robot_says_never_steers_the_terminal(emulator):
+    emulator.error = "\x1b[2J\x1b]0;owned\x07 \x9b31m"
+    with pytest.raises(RoboMasterError, match="does not enter SDK mode") as caught:
+        connect(emulator)
+    assert str(caught.value).isprintable()
+    emulator.error = ""
+    until(lambda: emulator._driver is None)
+    with connect(emulator) as base:
+        emulator.error = "\x1b[31mfail\x1b[0m"
+        with pytest.raises(RoboMasterError, match="fail") as caught:
+            keep_driving(base)
+    assert str(caught.value).isprintable()
+
+
 def test_an_error_of_the_robot_is_raised_at_a_next_call_and_stays(emulator):
     with connect(emulator) as base:
         base.drive(np.array([0.1, 0.0, 0.0]))
@@ -240,71 +289,3 @@ def test_limits_are_checked(options):
 def test_a_taken_address_cannot_be_emulated(emulator):
     with pytest.raises(TriformError, match="cannot emulate"):
         RoboMasterEmulator(ADDRESS, control_port=emulator.control_port)
-
-
-class Line:
-    """Talks to a robot by hand."""
-
-    def __init__(self, emulator):
-        self.socket = socket.create_connection((emulator.address, emulator.control_port), 10)
-
-    def ask(self, text):
-        self.socket.sendall(text.encode())
-        return self.socket.recv(100).decode()
-
-
-def test_the_emulator_is_strict(emulator):
-    line = Line(emulator)
-    with line.socket:
-        line.socket.settimeout(0.3)
-        with pytest.raises(TimeoutError):
-            line.ask("chassis speed x 0.1 y 0 z 0;")
-        line.socket.settimeout(10)
-        assert line.ask("command;") == "ok;"
-        assert line.ask("command;") == "Already in SDK mode;"
-        assert line.ask("robot battery ?;") == "100 ;"
-        for wrong in ("chassis", "chassis speed x 1", "chassis jump", " robot battery ?", "robot mode sideways", ""):
-            assert line.ask(f"{wrong};") == "command format error: command parse error;"
-        for refused in (
-            "chassis speed x 3.6 y 0 z 0",
-            "chassis speed x 0 y 0 z 601",
-            "chassis speed x nan y 0 z 0",
-            "chassis wheel w1 1001 w2 0 w3 0 w4 0",
-            "chassis wheel w1 a w2 0 w3 0 w4 0",
-            "chassis push position on pfreq 7",
-            "chassis push position perhaps",
-            "chassis push height on",
-            "chassis push position",
-        ):
-            assert line.ask(f"{refused};") == "fail;"
-        assert not emulator.command.any()
-        assert line.ask("chassis wheel w1 60 w2 60 w3 60 w4 60;") == "ok;"
-        np.testing.assert_allclose(emulator.command, [2 * math.pi * 0.05, 0, 0])
-        line.socket.sendall(b"chassis spe")
-        assert line.ask("ed x 0.1 y 0.2 z 90;") == "ok;"
-        np.testing.assert_allclose(emulator.command, [0.1, -0.2, -math.pi / 2])
-        assert line.ask("quit;") == "ok;"
-        assert not emulator.command.any()
-
-
-def drain(pushes):
-    for _ in range(100):
-        pushes.recv(1000)
-
-
-def test_telemetry_comes_at_its_rate_until_switched_off(emulator):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as pushes:
-        pushes.bind((ADDRESS, 40924))
-        pushes.settimeout(10)
-        with socket.create_connection((emulator.address, emulator.control_port), 10, (ADDRESS, 0)) as robot:
-            emulator.tell(np.array([1.0, 2.0, math.pi / 2]), np.zeros(3))
-            robot.sendall(b"command;chassis push position on pfreq 50 attitude on afreq 5;")
-            texts = [pushes.recv(1000).decode() for _ in range(21)]
-            assert all(text.startswith("chassis push ") and text.endswith(" ;") for text in texts)
-            assert sum("position 1.000 -2.000 ;" in text for text in texts) >= 16
-            assert 2 <= sum("attitude 0.000 0.000 -90.000 ;" in text for text in texts) <= 5
-            robot.sendall(b"chassis push position off attitude off;")
-            pushes.settimeout(0.5)
-            until(lambda: not emulator._rates)
-            with pytest.raises(TimeoutError):
-                drain(pushes)

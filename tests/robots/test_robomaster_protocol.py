@@ -8,8 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from triform.robots.odometry import EXTRAPOLATION, Track
-from triform.robots.robomaster.protocol import pushed, read_pushed, speed_command, twist_of_speeds, twist_of_wheels
-from triform.robots.robomaster.watchdog import STOP, answers
+from triform.robots.robomaster.protocol import (
+    chassis_state,
+    read_pushed,
+    speed_command,
+    speeds_of_twist,
+    twist_of_speeds,
+    twist_of_wheels,
+)
+from triform.robots.robomaster.watchdog import STOP, Answers
 
 
 @pytest.mark.parametrize(
@@ -70,9 +77,19 @@ def test_pushes_of_a_real_robot_are_read():
     ]
 
 
-def test_a_pose_is_pushed_with_the_signs_of_the_robot():
-    text = "chassis push position 1.000 -2.000 ; attitude 0.000 0.000 -90.000 ;"
-    assert pushed(np.array([1.0, 2.0, math.pi / 2]), ["position", "attitude"]) == text
+def test_a_pose_is_told_with_the_signs_of_the_robot():
+    told = chassis_state(np.array([1.0, 2.0, math.pi / 2]), still=True)
+    assert told["position"] == ["1.000", "-2.000"]
+    assert told["attitude"] == ["0.000", "0.000", "-90.000"]
+    assert told["status"] == ["1", *["0"] * 10]
+
+
+@given(TWISTS)
+def test_speeds_of_a_robot_and_its_wheels_come_back(twist):
+    speeds, rates = speeds_of_twist(np.array(twist))
+    np.testing.assert_allclose(twist_of_speeds(*speeds), twist, atol=1e-9)
+    # Rates are whole revolutions per minute.
+    np.testing.assert_allclose(twist_of_wheels(np.array(rates)), twist, atol=0.03)
 
 
 @given(st.text(alphabet="chasi puotn;0.1-enfdr ", max_size=80))
@@ -89,6 +106,7 @@ def test_damaged_pushes_are_passed_over(text):
         (b"ok", ["ok"]),
         (b"ok;ok;80 ;", ["ok", "ok", "80"]),
         (b"okok", ["ok", "ok"]),
+        (b"ok 80 ", ["ok", "80"]),
         (b"Already in SDK mode", ["Already in SDK mode"]),
         (b"command format error: command parse error;ok;", ["command format error: command parse error", "ok"]),
         (b"broken;", ["broken"]),
@@ -96,7 +114,37 @@ def test_damaged_pushes_are_passed_over(text):
     ],
 )
 def test_answers_are_told_apart_with_and_without_their_ends(data, found):
-    assert answers(data) == found
+    answers = Answers()
+    assert answers.feed(data) + answers.pause() == found
+
+
+ANSWERS = st.lists(st.sampled_from(["ok", "fail", "80", "error: ok not", "Already in SDK mode"]), min_size=1)
+
+
+@given(ANSWERS, st.data())
+def test_answers_are_framed_by_the_protocol_and_not_by_the_network(sent, data):
+    stream = "".join(f"{answer};" for answer in sent).encode()
+    cuts = sorted(data.draw(st.sets(st.integers(0, len(stream)), max_size=20)))
+    answers = Answers(ended=True)
+    pieces = [stream[a:b] for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
+    assert [answer for piece in pieces for answer in answers.feed(piece)] == sent
+    assert not answers.open
+    assert answers.pause() == []
+
+
+def test_the_first_answer_may_come_byte_by_byte():
+    answers = Answers()
+    found = []
+    for byte in b"ok;ok;Already in SDK mode;ok;":
+        found += answers.feed(bytes([byte]))
+    assert found == ["ok", "ok", "Already in SDK mode", "ok"]
+    assert answers.ended
+
+
+def test_an_endless_answer_is_cut_off():
+    answers = Answers(ended=True)
+    assert sum(len(each) for _ in range(100) for each in answers.feed(b"x" * 1000)) >= 90_000
+    assert len(answers._rest) <= 1024
 
 
 @given(
@@ -106,7 +154,7 @@ def test_answers_are_told_apart_with_and_without_their_ends(data, found):
 )
 def test_a_steady_motion_is_known_between_and_ahead_of_its_samples(steps, speed, place):
     times = 10 + np.cumsum([0.0, *steps])
-    track = Track()
+    track = Track([1.0, 1.0])
     for moment in times:
         track.add(moment, moment * np.array(speed))
     moment = times[0] + place * (times[-1] - times[0])
@@ -120,15 +168,41 @@ def test_a_steady_motion_is_known_between_and_ahead_of_its_samples(steps, speed,
 
 
 def test_samples_that_come_in_bunches_make_no_leaps():
-    track = Track()
+    track = Track([np.inf])
     for arrival, moment in ((0.0, 0.0), (0.05, 0.05), (0.1, 0.1), (0.2499, 0.15), (0.25, 0.2), (0.2501, 0.25)):
         track.add(arrival, np.array([0.1 * moment]))
     assert track.at(0.3)[0] == pytest.approx(0.03, abs=0.005)
 
 
 def test_nothing_is_known_before_the_first_sample():
-    track = Track()
+    track = Track([np.inf])
     assert track.at(0.0) is None
     track.add(1.0, np.array([2.0]))
     assert track.at(0.9) is None
     assert track.at(1.1) == [2.0]
+
+
+@given(st.lists(st.sampled_from([np.nan, np.inf, -np.inf, 1e308, -1e308, 1000.0, 30.0]), min_size=1, max_size=5))
+def test_leaps_and_what_is_no_number_are_never_believed(wrong):
+    track = Track([0.5])
+    now, believed = 0.0, []
+    for value in [0.0, 0.1, *wrong, 0.2, 0.3, 0.3]:
+        now += 0.05
+        track.add(now, np.array([value]))
+        found = track.at(now)
+        believed.append(found)
+        # What is known is near the true numbers, or near those after two that agree: the robot was carried.
+        if found is not None and len(set(wrong)) == len(wrong):
+            assert 0 <= found[0] <= 0.31
+    assert believed[-1] is not None
+
+
+def test_a_new_zero_is_known_after_two_numbers_that_agree():
+    track = Track([0.5, 0.5, 1.0], angle=True)
+    for moment, place in ((0.0, 0.0), (0.1, 0.01)):
+        track.add(moment, np.array([place, 0.0, 0.0]))
+    track.add(0.2, np.array([40.0, 0.0, 3.0]))
+    assert track.at(0.2) is None
+    track.add(0.3, np.array([40.01, 0.0, 3.0]))
+    np.testing.assert_allclose(track.at(0.3), [40.01, 0.0, 3.0])
+    assert track.at(0.15) is None

@@ -121,6 +121,32 @@ def test_scans_become_commands_and_bad_or_old_ones_and_sigterm_stop_the_robot(ro
     assert "received" in controller.log
 
 
+def test_a_mounted_lidar_shows_the_same_robots_and_one_that_measures_nothing_stops_the_robot(ros: Ros) -> None:
+    """It hangs upside down, sees an arm of the robot itself, and goes blind in two ways."""
+    from geometry_msgs.msg import Twist
+
+    robot = Robot(ros, Twist)
+    controller = ros.start(
+        "controller", controller="scan-pipeline", max_acceleration=100.0, upside_down=True, blind_sectors="-95:-85"
+    )
+    surroundings = scene()
+    surroundings[np.abs(GRID.angles + np.pi / 2) < 0.08] = 0.4  # In the blind sector.
+    surroundings[np.abs(GRID.angles + 2.0) < 0.1] = 0.1  # Within the outline.
+    hanging = surroundings[-np.arange(GRID.rays) % GRID.rays]
+    robot.send_until(scan_message(hanging), moving=True)
+    driven = [twist(each) for each in robot.send(scan_message(hanging), 1.0) if any(twist(each))]
+    np.testing.assert_allclose(driven, np.broadcast_to(expected(scene()), (len(driven), 3)), atol=1e-6)
+    assert controller.log.count("within the robot's own outline") == 1
+
+    for nothing in (np.inf, 0.0):
+        blind = scan_message(np.full(GRID.rays, nothing, np.float32))
+        robot.send_until(blind, moving=False)
+        assert not np.any([twist(each) for each in robot.send(blind, 0.5)])
+        robot.send_until(scan_message(hanging), moving=True)
+    assert controller.log.count("stands still until it sees again") == 2
+    assert controller.end(signal.SIGTERM) == 0
+
+
 def test_commands_are_stamped_gentle_and_end_with_zero_on_sigint(ros: Ros) -> None:
     from geometry_msgs.msg import TwistStamped
 
@@ -179,7 +205,7 @@ def test_the_map_is_the_policys_and_odometry_moves_it(ros: Ros) -> None:
 
     def drive() -> bool:
         """The robot is moved 0.4 m ahead after its last scan, and stays there."""
-        for x in (0.0, 0.0, 0.4, 0.4):
+        for x in (0.0, 0.0, 0.1, 0.2, 0.3, 0.4):
             if x == 0.0:
                 robot.send(scan, 0.1)
             report(x)
@@ -206,6 +232,8 @@ def test_the_map_is_the_policys_and_odometry_moves_it(ros: Ros) -> None:
         ("controller", {"controller": "pilot"}, "there is no controller 'pilot'"),
         ("controller", {"weights": "none"}, "there is no policy 'none'"),
         ("controller", {"footprint": "[1.0, 1.0, 1.0]"}, "footprint has 3 numbers"),
+        ("controller", {"lidar_position": "[1.0]"}, "lidar_position has 1 numbers"),
+        ("controller", {"blind_sectors": "10-20"}, "the blind sector '10-20' is no FROM:TO"),
         ("gazebo_bridge", {"simulator": "stage"}, "there is no simulator 'stage'"),
         ("gazebo_bridge", {"robots": 0}, "'robots' cannot be used"),
     ],

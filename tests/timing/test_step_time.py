@@ -7,6 +7,7 @@ import pytest
 
 from triform.control import CONTROLLERS, ControllerSpec, make_controller, shipped_weights
 from triform.evaluation.scenario import Scenario
+from triform.policy.checkpoint import read_spec, write_policy
 from triform.timing.step_time import (
     TEAM,
     count_parameters,
@@ -80,11 +81,13 @@ def test_parameters_are_those_of_the_weights(name):
 
 
 def test_weights_that_cannot_be_read_are_refused(tmp_path):
-    with pytest.raises(TriformError, match="cannot read the weights"):
+    with pytest.raises(TriformError, match="holds no policy"):
         count_parameters(tmp_path)
-    for content in (b"", b"\x02\0\0\0\0\0\0\0[]", b"\x09\0\0\0\0\0\0\0" + b'{"a": {}}'):
-        (tmp_path / "model.safetensors").write_bytes(content)
-        with pytest.raises(TriformError, match="cannot read the weights"):
+    spec = read_spec(shipped_weights()["default"])
+    deep = 10_000 * b"["
+    for content in (b"", b"\x02" + bytes(7) + b"[]", b"\x09" + bytes(7) + b'{"a": {}}', b"\x10\x27" + bytes(6) + deep):
+        write_policy(tmp_path, spec, content)
+        with pytest.raises(TriformError, match="the weights"):
             count_parameters(tmp_path)
 
 

@@ -66,10 +66,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def results(out: Path) -> dict[str, bytes]:
-    names = ("state.safetensors", "best/model.safetensors", "last/model.safetensors", "last/model.json")
+    policies = {name: b"".join(f.read_bytes() for f in sorted((out / name).iterdir())) for name in ("best", "last")}
     states = sorted(out.glob("visited-*.npz"))
     listed = {path.name: StateBuffer.load(path).positions.tobytes() for path in states}
-    return {**{name: (out / name).read_bytes() for name in names}, **listed}
+    return {"state": (out / "state.safetensors").read_bytes(), **policies, **listed}
 
 
 def stop_at(step: int):

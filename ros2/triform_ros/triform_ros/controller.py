@@ -12,10 +12,10 @@ from typing import Any
 from rclpy.node import Node
 
 from triform.control import ControllerSpec, SafetyFilter, SafetySettings, drive, make_controller, weights_folder
-from triform.control.detection import ROBOMASTER_EP_SIZE
+from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint
 from triform.policy import read_spec
 from triform.robots.real import RealRobot
-from triform.simulation import Drive
+from triform.simulation import Drive, Mounting, Placement, read_sectors
 from triform.types import SENSING_RANGE, Controller, MapConfig, ScanConfig, TriformError, View, require
 from triform_ros.executable import run_executable
 from triform_ros.parameters import Parameter, declare
@@ -29,6 +29,9 @@ PARAMETERS = (
     Parameter("scan_timeout", 0.5, "The robot stands while its newest scan is older than this [s]", 0.05, 5.0),
     Parameter("rays", 450, "Rays of the full turn that scans are brought onto; policies learned with 450", 90, 7200),
     Parameter("mounting", 0.0, "Angle of the LiDAR's x axis in the robot's frame [rad]", -math.pi, math.pi),
+    Parameter("lidar_position", [0.0, 0.0], "Where the LiDAR is on the robot, forward and left of its centre [m]"),
+    Parameter("upside_down", False, "Whether the LiDAR hangs upside down"),
+    Parameter("blind_sectors", "", "Directions in which only the robot itself is, as FROM:TO in degrees, with spaces"),
     Parameter("scan_frame", "", "Frame that scans must be in; empty for any"),
     Parameter("base_frame", "base_link", "The robot's own frame, in which commands and maps are"),
     Parameter("use_odom", False, "Whether to allow for the way since a scan, which odometry on odom tells"),
@@ -60,12 +63,14 @@ class Controlled:
         outline = given["footprint"]
         require(len(outline) in (1, 2), f"footprint has {len(outline)} numbers; length and width, or a diameter, do")
         self._footprint = outline[0] if len(outline) == 1 else (outline[0], outline[1])
-        reach = SENSING_RANGE * given["distance"]
-        scan = ScanConfig(rays=given["rays"], range_max=reach)
+        scan = ScanConfig(rays=given["rays"], range_max=SENSING_RANGE * given["distance"])
+        mounting = _mounting(given)
         limits = Drive(**{name: given[name] for name in given if name.startswith("max_")})
         period = 1 / given["control_rate"]
         self._controller = self._make_controller(given)
-        self._scans = ScanTopic(node, scan, given["mounting"], given["scan_frame"])
+        self._scans = ScanTopic(
+            node, replace(scan, range_max=scan.range_max + mounting.offset), mounting, given["scan_frame"]
+        )
         self._wheels = TwistTopic(node, given["base_frame"], given["stamped"], given["use_odom"], limits, period)
         maps = _map_topic(node, given, scan) if given["publish_map"] else None
         self._robot = RealRobot(
@@ -76,6 +81,7 @@ class Controlled:
             (given["seed"] << 32) + zlib.crc32(node.get_fully_qualified_name().encode()),
             # The limits of acceleration are those of commands, and braking has none.
             replace(limits, max_acceleration=math.inf, max_turn_acceleration=math.inf, lag=given["lag"]),
+            placement=Placement(scan, mounting, kernel_footprint(self._footprint)),
             odometry=given["use_odom"],
             scan_timeout=given["scan_timeout"],
             on_sent=None if maps is None else maps.publish,
@@ -114,6 +120,12 @@ class Controlled:
         return SafetyFilter(
             controller, SafetySettings(self._footprint, reaction=given["reaction"], max_speed=given["max_speed"])
         )
+
+
+def _mounting(given: dict[str, Any]) -> Mounting:
+    position = given["lidar_position"]
+    require(len(position) == 2, f"lidar_position has {len(position)} numbers; forward and left of the centre, two, do")
+    return Mounting(*position, given["mounting"], not given["upside_down"], read_sectors(given["blind_sectors"]))
 
 
 def _map_topic(node: Node, given: dict[str, Any], scan: ScanConfig) -> MapTopic:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -21,7 +20,7 @@ from triform.robots.laser_scan import Turn
 from triform.robots.limits import limit_acceleration
 from triform.robots.odometry import Track
 from triform.robots.real import Step
-from triform.simulation import Drive
+from triform.simulation import Drive, Mounting
 from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, TriformError, View
 from triform_ros.conversions import fill_twist, laser_scan, map_message, pose_of, seconds
 
@@ -47,17 +46,16 @@ class ScanTopic:
     A scan that cannot be used takes the place of the one before: the robot then has none, and stands.
     """
 
-    def __init__(self, node: Node, scan: ScanConfig, mounting: float, frame: str) -> None:
+    def __init__(self, node: Node, scan: ScanConfig, mounting: Mounting, frame: str) -> None:
         """Subscribe.
 
         Args:
             node: Where the topic is.
-            scan: Shape of the scans that are wanted, in the robot's frame.
-            mounting: Angle of the LiDAR's x axis in the robot's frame [rad].
+            scan: Shape of the scans that are wanted, with the directions of the robot's frame.
+            mounting: How the LiDAR is mounted.
             frame: Frame that scans must be in; any if empty.
         """
-        self._node, self._scan, self._frame = node, scan, frame
-        self._grid = replace(scan, angle_min=scan.angle_min - mounting)
+        self._node, self._scan, self._mounting, self._frame = node, scan, mounting, frame
         self._turn: Turn | None = None
         self._told_coverage = False
         self.received = self.refused = self.lost = 0
@@ -93,11 +91,11 @@ class ScanTopic:
         frame = message.header.frame_id
         if self._frame and frame != self._frame:
             raise TriformError(f"it is in the frame {frame!r}, not in {self._frame!r}")
-        scan = laser_scan(message)
+        scan = laser_scan(message).mounted(self._mounting)
         turn = message.time_increment * (len(message.ranges) - 1)
         if not (math.isfinite(turn) and turn >= 0):
             raise TriformError(f"time_increment is {message.time_increment} s; it must be finite and not negative")
-        ranges = scan.on_grid(self._grid)
+        ranges = scan.on_grid(self._scan)
         if scan.coverage < 0.99 and not self._told_coverage:
             self._told_coverage = True
             self._node.get_logger().info(f"scans cover {360 * scan.coverage:.0f} of 360 degrees; the rest is not seen")
@@ -125,7 +123,8 @@ class TwistTopic:
         self._node, self._frame, self._stamped = node, frame, stamped
         self._limits, self._period = limits, period
         self._command: FloatArray = np.zeros(3)
-        self._history = Track(angle=True)
+        speed = min(limits.max_speed, math.sqrt(2) * limits.max_axis_speed)
+        self._history = Track([speed, speed, limits.max_turn_rate], angle=True)
         self._publisher = node.create_publisher(TwistStamped if stamped else Twist, "cmd_vel", 1)
         if odometry:
             node.create_subscription(Odometry, "odom", self._note, qos_profile_sensor_data)
@@ -164,9 +163,7 @@ class TwistTopic:
         self._publisher.publish(message)
 
     def _note(self, message: Odometry) -> None:
-        pose = pose_of(message)
-        if np.isfinite(pose).all():
-            self._history.add(host_time(self._node, message.header.stamp), pose)
+        self._history.add(host_time(self._node, message.header.stamp), pose_of(message))
 
 
 class MapTopic:

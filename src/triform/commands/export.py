@@ -20,7 +20,7 @@ class Export:
     """Options of ``triform export``.
 
     Attributes:
-        folder: Folder of a policy; ``model.onnx`` is written into it.
+        folder: Folder of a policy; its graph is written into it.
         precision: Numbers of the linear layers. ``int8`` is faster and less exact.
         out: Another folder for the exported policy.
     """
@@ -35,15 +35,15 @@ class Export:
 
         from triform.dataset import fresh_inputs
         from triform.policy import read_spec
-        from triform.policy.checkpoint import ONNX_FILE
+        from triform.policy.checkpoint import graph_path
         from triform.policy.export import export_policy
 
-        spec = read_spec(self.folder)
+        spec, out = read_spec(self.folder), self.out or self.folder
         difference = export_policy(
             self.folder, fresh_inputs(np.random.default_rng(0), _CHECKED_ROBOTS, spec), self.precision, self.out
         )
         Terminal(console).say(
-            f"wrote {(self.out or self.folder) / ONNX_FILE} in {self.precision}; in fresh states of {_CHECKED_ROBOTS} "
+            f"wrote {graph_path(out, read_spec(out))} in {self.precision}; in fresh states of {_CHECKED_ROBOTS} "
             f"robots its commands differ from PyTorch's by {difference.mean:.0e} on average and "
             f"{difference.largest:.0e} at most",
         )

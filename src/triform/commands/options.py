@@ -47,6 +47,7 @@ _BEGINNINGS = {
     "Serial port": "PORT",
     "Address": "ADDRESS",
     "Loopback address": "ADDRESS",
+    "Sectors": "FROM:TO",
     "Ray cluster": "HOST:PORT",
     "Outline": "OUTLINE",
     "Folder": "FOLDER",

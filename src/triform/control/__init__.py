@@ -14,6 +14,7 @@ from triform.control.registry import (
 )
 from triform.control.safety import SafetyFilter, SafetySettings, reaction_time
 from triform.control.scan_pipeline import ScanPipeline
+from triform.control.sight import Sight, has_sight
 from triform.control.teacher import Teacher
 from triform.control.triangulating import Triangulating, TriangulatingLaw
 
@@ -29,6 +30,7 @@ __all__ = [
     "SafetyFilter",
     "SafetySettings",
     "ScanPipeline",
+    "Sight",
     "Springs",
     "Teacher",
     "Triangulating",
@@ -37,6 +39,7 @@ __all__ = [
     "drive",
     "expert_into",
     "expert_variant",
+    "has_sight",
     "make_controller",
     "reaction_time",
     "shipped_weights",

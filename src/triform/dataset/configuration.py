@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
-from typing import Any, TypeVar, get_type_hints
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
 from triform.control import expert_variant
+from triform.decode import decode_dataclass
 from triform.simulation import ROBOMASTER_EP, Footprint
-from triform.types import ConfigurationError, IntArray, MapConfig, ScanConfig, require
+from triform.types import IntArray, MapConfig, ScanConfig, convert_fields, require
 
-_Dataclass = TypeVar("_Dataclass")
-
+#: Larger maps, scans and teams are mistakes, and would fill the memory before they are found out.
+_MOST_CELLS, _MOST_RAYS, _MOST_ROBOTS = 4096, 100_000, 10_000
 #: First words of the seeds of independent random streams.
 _ROLL_OUT_STARTS, _PLACEMENTS, _SPLIT, _JITTER = range(4)
 
@@ -71,6 +72,7 @@ class CollectionConfig:
     group_records: int = 250
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         least = dict.fromkeys(("robots", "steps", "block_placements", "shard_runs", "group_records"), 1)
         least |= dict.fromkeys(("runs", "placements", "seed"), 0)
         for name, minimum in least.items():
@@ -79,6 +81,11 @@ class CollectionConfig:
                 isinstance(value, int) and value >= minimum,
                 f"{name} is {value}; a whole number of at least {minimum} is needed",
             )
+        require(
+            self.map.size <= _MOST_CELLS and self.scan.rays <= _MOST_RAYS and self.robots <= _MOST_ROBOTS,
+            f"maps of {self.map.size} cells along each side, scans of {self.scan.rays} rays and teams of {self.robots} "
+            f"robots are asked for; at most {_MOST_CELLS}, {_MOST_RAYS} and {_MOST_ROBOTS} can be stored",
+        )
         require(self.runs + self.placements > 0, "both runs and placements are 0; there is nothing to collect")
         for name in ("distance", "gain", "max_speed", "speed_limit", "step_period"):
             value = getattr(self, name)
@@ -166,24 +173,7 @@ def config_from_json(values: object) -> CollectionConfig:
     Raises:
         ConfigurationError: If a value is missing, unknown, of the wrong kind or not allowed.
     """
-    return _build(CollectionConfig, values, "configuration")
-
-
-def _build(kind: type[_Dataclass], values: object, name: str) -> _Dataclass:
-    hints = get_type_hints(kind)
-    expected = {item.name for item in fields(kind)}  # type: ignore[arg-type]
-    if not isinstance(values, dict) or set(values) != expected:
-        raise ConfigurationError(f"{name} must hold exactly the values {', '.join(sorted(expected))}")
-    arguments: dict[str, Any] = {}
-    for key, value in values.items():
-        if is_dataclass(hints[key]):
-            arguments[key] = _build(hints[key], value, f"{name}.{key}")
-        else:
-            arguments[key] = tuple(value) if isinstance(value, list) else value
-    try:
-        return kind(**arguments)
-    except TypeError as error:
-        raise ConfigurationError(f"{name} holds a value of the wrong kind: {error}") from error
+    return decode_dataclass(CollectionConfig, values, "configuration")
 
 
 #: That of the paper, 600 roll-outs of 1000 steps and 400,000 random placements of seven robots, and a small one of the

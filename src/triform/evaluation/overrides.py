@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from triform.simulation import Drive, Footprint, LidarConfig, Profile, constant_noise
-from triform.types import SENSING_RANGE, require
+from triform.types import SENSING_RANGE, convert_fields, require
 
 Settings = TypeVar("Settings", LidarConfig, Drive, Profile)
 
@@ -54,6 +54,7 @@ class Overrides:
     odometry: bool = True
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name, (least, most, unit) in _ALLOWED.items():
             value = getattr(self, name)
             require(

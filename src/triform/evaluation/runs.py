@@ -11,6 +11,7 @@ from typing import TypeVar
 from triform.engines import Engine, EngineName, Report, Task, check_engine, open_engine
 from triform.limits import check_threads, require_memory
 from triform.threads import limit_threads, usable_threads
+from triform.types import convert_fields
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -35,6 +36,7 @@ class Execution:
     ray_address: str | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_threads(self.threads)
         check_engine(self.engine, self.ray_address)
 

@@ -87,7 +87,7 @@ class Cell:
         settings: dict[str, Any] = {name: described[name] for name in chosen}
         settings |= {"robots": self.robots, "runs": self.runs, "seed": self.seed, "triform": __version__}
         if scenario.simulator != "builtin":
-            settings |= {"team": scenario.simulator, "drive": scenario.gazebo_base}
+            settings |= {"team": scenario.simulator, "drive": scenario.base}
         if scenario.event is not None:
             settings |= {"event": asdict(scenario.event)}
         if self.starts is not None:

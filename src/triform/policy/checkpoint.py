@@ -1,26 +1,33 @@
-"""Policies on disk: a folder with ``model.safetensors``, ``model.json`` and, once exported, ``model.onnx``.
+"""Policies on disk: a folder with a description, ``model.json``, the weights and, once exported, the graph.
 
 ``model.json`` carries what a policy cannot run without: the network's shape and the scan and map that it was trained
-with. Nothing is ever unpickled.
+with. It also says which weights and graph belong to it: files of other content have other names, so replacing
+``model.json`` replaces the whole policy at once. Nothing is ever unpickled.
 """
 
 from __future__ import annotations
 
 import json
-import math
+import re
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from triform.files import sha256
+from triform.decode import checksum, decode_fields, decode_json
+from triform.files import exclusive, make_folder, remove_temporaries, sha256, write_atomically
 from triform.policy.config import GnnConfig, Network, describe_network, read_network
-from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError, require
+from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError, convert_fields, require
 
 _FORMAT = "triform-policy"
-_VERSION = 1
-WEIGHTS_FILE = "model.safetensors"
+#: Of descriptions that are written; those of version 1, which have no checksum of their own, are read too.
+_VERSION = 2
 SPEC_FILE = "model.json"
-ONNX_FILE = "model.onnx"
+#: Weights of policies that were written before names said what is in a file.
+PLAIN_WEIGHTS = "model.safetensors"
+#: Names of weights and graphs, old ones included.
+_DATA_FILE = re.compile(r"model(-[0-9a-f]{16})?\.(safetensors|onnx)")
+#: Faster robots, and farther distances, are mistakes of a unit [m/s, m].
+_FASTEST, _FARTHEST = 10.0, 1000.0
 #: Numbers of an exported graph's linear layers.
 Precision = Literal["float32", "int8"]
 
@@ -59,10 +66,16 @@ class PolicySpec:
     precision: Precision = "float32"
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(
             self.network.fits(self.map),
             f"the network reads maps of another size than the {self.map.size} cells of the map configuration",
         )
+        for name in ("weights_sha256", "onnx_sha256"):
+            require(
+                re.fullmatch("([0-9a-f]{64})?", getattr(self, name)) is not None,
+                f"{name} is {getattr(self, name)!r}; 64 hexadecimal digits are needed",
+            )
         require(
             self.precision in get_args(Precision),
             f"precision is {self.precision!r}; it must be {' or '.join(get_args(Precision))}",
@@ -71,15 +84,14 @@ class PolicySpec:
             self.precision == "float32" or not isinstance(self.network, GnnConfig),
             "a graph network is exported in float32 only, because 8 bits are rounded by the common range of all robots",
         )
-        if self.distances is not None:
-            low, high = self.distances
-            require(
-                0 < low <= self.distance <= high < math.inf,
-                f"distances {low} m to {high} m must hold the distance {self.distance} m",
-            )
+        low, high = self.distances or (self.distance, self.distance)
+        require(
+            0 < low <= self.distance <= high <= _FARTHEST,
+            f"distances {low} m to {high} m must hold the distance {self.distance} m and lie in (0, {_FARTHEST:g}] m",
+        )
         for name in ("rest_speed", "least_push", "search_push"):
             value = getattr(self, name)
-            require(0 <= value < math.inf, f"{name} is {value} m/s; it must be finite and not negative")
+            require(0 <= value <= _FASTEST, f"{name} is {value} m/s; it must lie in [0, {_FASTEST:g}] m/s")
         require(
             self.search_push == 0.0 or self.network.outputs == 4,
             f"search_push is {self.search_push} m/s, but the network gives no amplitude of a push",
@@ -121,42 +133,31 @@ class PolicySpec:
         return replace(scan, range_max=reach), replace(self.map, cell=cell)
 
     def to_json(self) -> str:
-        """Serialise to JSON."""
-        described = {**asdict(self), "network": describe_network(self.network)}
-        return json.dumps({"format": _FORMAT, "version": _VERSION, **described}, indent=2) + "\n"
+        """Serialise to JSON, with a checksum of all that it says."""
+        described = json.loads(json.dumps({**asdict(self), "network": describe_network(self.network)}))
+        head = {"format": _FORMAT, "version": _VERSION, "sha256": checksum(described)}
+        return json.dumps({**head, **described}, indent=2) + "\n"
 
     @classmethod
-    def from_json(cls, text: str, source: str) -> PolicySpec:
-        """Read what ``to_json`` wrote; ``source`` names it in errors.
+    def from_json(cls, text: bytes, source: str) -> PolicySpec:
+        """Read what ``to_json`` wrote, or a version before wrote; ``source`` names it in errors.
 
         Raises:
-            TriformError: If the text is not a policy's description.
+            TriformError: If the text is not a policy's description, or not the one that was written.
         """
+        described = decode_json(text, source)
+        if not isinstance(described, dict) or described.pop("format", None) != _FORMAT:
+            raise TriformError(f"{source} does not describe a triform policy")
+        version = described.pop("version", None)
+        if type(version) is not int or not 1 <= version <= _VERSION:
+            raise TriformError(f"{source} has version {version!r}; this triform reads versions 1 to {_VERSION}")
+        if version == _VERSION and described.pop("sha256", None) != checksum(described):
+            raise TriformError(f"{source} is damaged or was changed by hand: its checksum differs")
         try:
-            data = json.loads(text)
-            if data.pop("format") != _FORMAT:
-                raise TriformError(f"{source} does not describe a triform policy")
-            version = data.pop("version")
-            if version != _VERSION:
-                raise TriformError(f"{source} has format version {version}; this release reads version {_VERSION}")
-            return cls(
-                network=read_network(data.pop("network")),
-                scan=ScanConfig(**data.pop("scan")),
-                map=MapConfig(**data.pop("map")),
-                distances=_pair(data.pop("distances", None)),
-                **data,
-            )
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            if isinstance(error, TriformError):
-                raise
+            network = read_network(described.pop("network", None))
+            return cls(network, **decode_fields(cls, described, "it"))
+        except (ConfigurationError, TypeError) as error:
             raise TriformError(f"{source} is not a readable policy description: {error}") from error
-
-
-def _pair(values: list[float] | None) -> tuple[float, float] | None:
-    if values is None:
-        return None
-    low, high = values
-    return low, high
 
 
 def read_spec(folder: Path) -> PolicySpec:
@@ -167,36 +168,114 @@ def read_spec(folder: Path) -> PolicySpec:
     """
     if folder.is_file():
         raise TriformError(
-            f"{folder} is a file; a policy is a folder with {SPEC_FILE}, {WEIGHTS_FILE} and {ONNX_FILE} "
+            f"{folder} is a file; a policy is a folder with {SPEC_FILE}, weights and a graph "
             "(pickled checkpoints are never loaded)"
         )
     path = folder / SPEC_FILE
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise TriformError(f"{folder} holds no policy: cannot read {path}: {error}") from error
+        text = path.read_bytes()
+    except OSError as error:
+        raise TriformError(f"{folder} holds no policy: cannot read {path}: {error.strerror}") from error
     return PolicySpec.from_json(text, str(path))
 
 
-def read_weights(folder: Path, spec: PolicySpec) -> bytes:
-    """Read the weights of the policy in ``folder``, checked against its description.
+def weights_path(folder: Path, spec: PolicySpec) -> Path:
+    """Where the weights of a policy are."""
+    return _named(folder, spec.weights_sha256, "safetensors")
+
+
+def graph_path(folder: Path, spec: PolicySpec) -> Path:
+    """Where the exported graph of a policy is."""
+    return _named(folder, spec.onnx_sha256, "onnx")
+
+
+def _named(folder: Path, checksum: str, ending: str) -> Path:
+    """A file of this checksum: ``model-CHECKSUM.ENDING``, or plain ``model.ENDING`` where there is none."""
+    path = folder / f"model-{checksum[:16]}.{ending}"
+    return path if path.exists() else folder / f"model.{ending}"
+
+
+def weights_name(spec: PolicySpec) -> str:
+    """Name under which the weights of a policy are written, and by which its graph refers to them."""
+    return f"model-{spec.weights_sha256[:16]}.safetensors"
+
+
+def write_policy(
+    folder: Path, spec: PolicySpec, weights: bytes, graph: bytes = b"", instead_of: PolicySpec | None = None
+) -> None:
+    """Write a policy into ``folder``; the one that was there stays whole until it is replaced at once.
+
+    Args:
+        folder: Where to; created if need be.
+        spec: Description of the policy; its checksums are set.
+        weights: Content of its safetensors file.
+        graph: Its exported graph, which refers to weights of the name ``weights_name``; empty before the export.
+        instead_of: What must be in ``folder``, if anything particular must.
 
     Raises:
-        TriformError: If they cannot be read, or are not those that the description was written for.
+        TriformError: If a file cannot be written, or another policy than ``instead_of`` is there; it stays then.
     """
-    return _read_checked(folder / WEIGHTS_FILE, spec.weights_sha256, "weights")
+    spec = replace(spec, weights_sha256=sha256(weights), onnx_sha256=sha256(graph) if graph else "")
+    make_folder(folder)
+    with exclusive(folder, wait=True):
+        remove_temporaries(folder)
+        if instead_of is not None and read_spec(folder) != instead_of:
+            raise TriformError(f"another process has replaced the policy in {folder}; run the same command again")
+        try:
+            write_atomically(folder / weights_name(spec), weights)
+            if graph:
+                write_atomically(folder / f"model-{spec.onnx_sha256[:16]}.onnx", graph)
+            write_atomically(folder / SPEC_FILE, spec.to_json().encode())
+        finally:
+            _remove_others(folder)
 
 
-def read_graph(folder: Path, spec: PolicySpec) -> bytes:
-    """Read the exported graph of the policy in ``folder``, checked against its description.
+def _remove_others(folder: Path) -> None:
+    """Remove weights and graphs of policies that are no longer in ``folder``, or that never came to be."""
+    try:
+        spec = read_spec(folder)
+    except TriformError:
+        return
+    kept = {weights_path(folder, spec), graph_path(folder, spec) if spec.onnx_sha256 else None}
+    for path in folder.iterdir():
+        if _DATA_FILE.fullmatch(path.name) and path not in kept:
+            path.unlink(missing_ok=True)
+
+
+def read_weights(folder: Path) -> tuple[PolicySpec, bytes]:
+    """Read the description and the weights of the policy in ``folder``, checked against each other.
 
     Raises:
-        TriformError: If there is none, or it is not the one that was exported with these weights.
+        TriformError: If they cannot be read, or do not belong together.
     """
-    path = folder / ONNX_FILE
-    if not path.exists() or not spec.onnx_sha256:
-        raise TriformError(f"{folder} holds no exported policy; make it with: triform export {folder}")
-    return _read_checked(path, spec.onnx_sha256, "graph")
+    spec, weights, _ = _read(folder, exported=False)
+    return spec, weights
+
+
+def read_exported(folder: Path) -> tuple[PolicySpec, bytes, bytes]:
+    """Read the description, the weights and the graph of the policy in ``folder``, checked against each other.
+
+    Raises:
+        TriformError: If it was not exported, or they cannot be read, or do not belong together.
+    """
+    return _read(folder, exported=True)
+
+
+def _read(folder: Path, *, exported: bool) -> tuple[PolicySpec, bytes, bytes]:
+    while True:
+        spec = read_spec(folder)
+        try:
+            weights = _read_checked(weights_path(folder, spec), spec.weights_sha256, "weights")
+            if not exported:
+                return spec, weights, b""
+            path = graph_path(folder, spec)
+            if not path.exists() or not spec.onnx_sha256:
+                raise TriformError(f"{folder} holds no exported policy; make it with: triform export {folder}")
+            return spec, weights, _read_checked(path, spec.onnx_sha256, "graph")
+        except TriformError:
+            # Another process may have replaced the policy meanwhile.
+            if read_spec(folder) == spec:
+                raise
 
 
 def _read_checked(path: Path, checksum: str, what: str) -> bytes:

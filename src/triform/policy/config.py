@@ -5,16 +5,24 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
-from triform.types import ConfigurationError, MapConfig, choose, require
+from triform.decode import decode_fields
+from triform.types import ConfigurationError, MapConfig, choose, convert_fields, require
+
+#: Largest count in a shape; larger ones are mistakes, and would fill the memory before they are found out.
+_MOST = 4096
 
 
 class _Shape:
-    """Base of all shapes: every count is at least 1, and a network fits maps unless it reads others."""
+    """Base of all shapes: counts are within limits, and a network fits maps unless it reads others."""
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for each in fields(self):  # type: ignore[arg-type]
             value = getattr(self, each.name)
-            require(each.type != "int" or value >= 1, f"network {each.name} is {value}; it must be at least 1")
+            require(
+                each.type != "int" or 1 <= value <= _MOST,
+                f"network {each.name} is {value}; it must be at least 1 and at most {_MOST}",
+            )
 
     def fits(self, _config: MapConfig) -> bool:
         """Whether the network can stand beside maps of this configuration."""
@@ -151,7 +159,7 @@ class GnnConfig(_Shape):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(0 < self.reach < float("inf"), f"reach is {self.reach} d*; it must be positive and finite")
+        require(0 < self.reach <= _MOST, f"reach is {self.reach} d*; it must be positive and at most {_MOST} d*")
 
     @property
     def token_width(self) -> int:
@@ -175,15 +183,17 @@ def describe_network(network: Network) -> dict[str, Any]:
     return {"kind": kind, **asdict(network)}
 
 
-def read_network(described: dict[str, Any]) -> Network:
+def read_network(described: object) -> Network:
     """Read what ``describe_network`` wrote; a description without a kind is a Vision Transformer's.
 
     Raises:
-        ConfigurationError: If there is no such kind, or its shape is impossible.
-        TypeError: If it is no description.
+        ConfigurationError: If it is no description, there is no such kind, or its shape is impossible.
     """
+    if not isinstance(described, dict):
+        raise ConfigurationError("it describes no network")
     values = dict(described)
-    return choose("network of kind", values.pop("kind", "vit"), _KINDS)(**values)
+    shape = choose("network of kind", str(values.pop("kind", "vit")), _KINDS)
+    return shape(**decode_fields(shape, values, "network"))
 
 
 def map_network(network: Network) -> MapNetwork:

@@ -11,15 +11,15 @@ import numpy as np
 import torch
 from onnxruntime.quantization import QuantType, quantize_dynamic
 
-from triform.files import cannot_write, make_folder, sha256, write_together
-from triform.policy.checkpoint import ONNX_FILE, SPEC_FILE, WEIGHTS_FILE, PolicySpec, Precision, read_weights
+from triform.files import cannot_write
+from triform.policy.checkpoint import PolicySpec, Precision, read_weights, weights_name, write_policy
 from triform.policy.config import map_network
 from triform.policy.gnn_runtime import GnnRuntime
 from triform.policy.kinds import network_inputs, write_graph
 from triform.policy.packing import PackedMaps, pack
 from triform.policy.radius_graph import RadiusGraph
 from triform.policy.runtime import PolicyRuntime
-from triform.policy.weights import load_policy
+from triform.policy.weights import network_of
 from triform.types import FloatArray, MapArray, TriformError
 
 #: Largest difference of a command from PyTorch's [m/s or rad/s]; of 8-bit numbers, the largest mean difference.
@@ -42,13 +42,13 @@ class Difference:
 def export_policy(
     folder: Path, fresh: MapArray | RadiusGraph, precision: Precision = "float32", out: Path | None = None
 ) -> Difference:
-    """Write ``model.onnx`` for the policy in ``folder``.
+    """Write the graph of the policy in ``folder``.
 
     With ``int8`` the graph holds weights of 8 bits and rounds the tokens of a call to 8 bits by their common range,
     which is faster and a little less exact.
 
     Args:
-        folder: Holds ``model.safetensors`` and ``model.json``.
+        folder: Holds a policy.
         fresh: On what the graph is compared with PyTorch: occupancy maps (M, H, W), or teams for a graph network.
         precision: Numbers of the linear layers.
         out: Folder for the exported policy, weights included; ``folder`` itself by default.
@@ -60,12 +60,16 @@ def export_policy(
         TriformError: If the folder holds no policy, the commands differ, or a file cannot be written; a graph that
             was there stays then.
     """
-    network, spec = load_policy(folder)
+    spec, weights = read_weights(folder)
+    network = network_of(spec, weights)
     given = fresh if isinstance(fresh, RadiusGraph) else _packed(fresh, spec)
     try:
         with tempfile.TemporaryDirectory() as trial, torch.inference_mode():
-            files = _exported(folder, spec, precision, Path(trial))
-            write_together(Path(trial), files)
+            graph = write_graph(spec.network, weights, weights_name(spec))
+            if precision == "int8":
+                graph = _quantised(graph, Path(trial, weights_name(spec)), weights)
+            exported = replace(spec, precision=precision)
+            write_policy(Path(trial), exported, weights, graph)
             commands = _run(Path(trial), given)
             errors = np.abs(commands - network(network_inputs(given)).numpy())
     except OSError as error:
@@ -77,11 +81,7 @@ def export_policy(
             f"the exported graph of {folder} differs from PyTorch by {found:.1e} on {len(commands)} robots; "
             f"{TOLERANCE[precision]:.0e} is allowed, so it is not kept"
         )
-    if out is None:
-        del files[WEIGHTS_FILE]
-    else:
-        make_folder(out)
-    write_together(out or folder, files)
+    write_policy(out or folder, exported, weights, graph, instead_of=spec if out is None else None)
     return difference
 
 
@@ -97,21 +97,11 @@ def _run(folder: Path, given: PackedMaps | RadiusGraph) -> FloatArray:
     return PolicyRuntime(folder).commands(given)
 
 
-def _exported(folder: Path, spec: PolicySpec, precision: Precision, scratch: Path) -> dict[str, bytes]:
-    """The files of the exported policy by name; ``scratch`` takes files for the time."""
-    weights = read_weights(folder, spec)
-    graph = write_graph(spec.network, weights, WEIGHTS_FILE)
-    if precision == "int8":
-        graph = _quantised(graph, weights, scratch)
-    exported = replace(spec, onnx_sha256=sha256(graph), precision=precision)
-    return {WEIGHTS_FILE: weights, ONNX_FILE: graph, SPEC_FILE: exported.to_json().encode()}
-
-
-def _quantised(graph: bytes, weights: bytes, scratch: Path) -> bytes:
-    """The graph with 8-bit linear layers."""
-    full, reduced = scratch / "full.onnx", scratch / "reduced.onnx"
+def _quantised(graph: bytes, path: Path, weights: bytes) -> bytes:
+    """The graph with 8-bit linear layers; its weights are written to ``path``, and other files beside it."""
+    full, reduced = path.with_name("full.onnx"), path.with_name("reduced.onnx")
     full.write_bytes(graph)
-    (scratch / WEIGHTS_FILE).write_bytes(weights)
+    path.write_bytes(weights)
     # The quantiser advises a preparation that changes nothing here.
     before = logging.root.manager.disable
     logging.disable(max(before, logging.WARNING))

@@ -19,7 +19,7 @@ class GnnRuntime(StoredPolicy):
         """Load the policy in ``folder``.
 
         Args:
-            folder: Holds ``model.onnx``, ``model.safetensors`` and ``model.json``.
+            folder: Holds an exported policy.
             threads: Threads of one call.
 
         Raises:

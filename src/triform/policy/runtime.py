@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import onnxruntime
 
 from triform.kernels import kernel
-from triform.policy.checkpoint import ONNX_FILE, WEIGHTS_FILE, PolicySpec, read_graph, read_spec, read_weights
+from triform.policy.checkpoint import PLAIN_WEIGHTS, PolicySpec, read_exported, weights_name
 from triform.policy.config import CnnConfig, NetworkConfig, map_network
 from triform.policy.packing import PackedMaps
 from triform.types import FloatArray, MapArray, TriformError, require
@@ -137,40 +136,47 @@ class StoredPolicy:
     """
 
     def __init__(self, folder: Path, threads: int) -> None:
-        """Read the description of the policy in ``folder``."""
-        self.folder = folder
-        self.threads = threads
-        self.spec: PolicySpec = read_spec(folder)
-
-    def _load(self, outputs: int, name: str, width: int) -> None:
-        """Load the exported graph, whose input ``name`` has ``width`` numbers and whose commands have ``outputs``.
+        """Read the exported policy in ``folder``, checked against its description.
 
         Raises:
-            TriformError: If the folder holds no exported policy, it cannot be loaded, or it is of another shape.
+            TriformError: If the folder holds no exported policy.
         """
-        require(self.threads >= 1, f"threads is {self.threads}; it must be at least 1")
-        self._weights = read_weights(self.folder, self.spec)
-        self._graph = read_graph(self.folder, self.spec)
-        self._open_session(self.folder / ONNX_FILE)
+        require(threads >= 1, f"threads is {threads}; it must be at least 1")
+        self.folder = folder
+        self.threads = threads
+        self.spec: PolicySpec
+        self.spec, self._weights, self._graph = read_exported(folder)
+
+    def _load(self, outputs: int, name: str, width: int) -> None:
+        """Load the graph, whose input ``name`` has ``width`` numbers and whose commands have ``outputs``.
+
+        Raises:
+            TriformError: If it cannot be loaded, or is of another shape.
+        """
+        self._open_session()
         inputs = {each.name: each.shape for each in self._session.get_inputs()}
         found = inputs.get(name, [None])[-1], self._session.get_outputs()[0].shape[-1]
         if found != (width, outputs):
             raise TriformError(
-                f"{self.folder / ONNX_FILE} reads {name} of width {found[0]} and gives {found[1]} numbers; its "
+                f"the graph in {self.folder} reads {name} of width {found[0]} and gives {found[1]} numbers; its "
                 f"description says {width} and {outputs}"
             )
 
-    def _open_session(self, path: Path) -> None:
+    def _open_session(self) -> None:
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
         options.intra_op_num_threads = self.threads
         options.inter_op_num_threads = 1
+        # The graph refers to the weights by the name that they were written with. From memory it gets the very bytes
+        # whose checksums were compared.
+        names = [weights_name(self.spec), PLAIN_WEIGHTS]
+        options.add_external_initializers_from_files_in_memory(names, 2 * [self._weights], 2 * [len(self._weights)])
         try:
             self._session = onnxruntime.InferenceSession(
-                str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0
+                self._graph, options, providers=["CPUExecutionProvider"], enable_fallback=0
             )
         except Exception as error:
-            raise TriformError(f"cannot load the policy {path}: {str(error).splitlines()[0]}") from error
+            raise TriformError(f"cannot load the policy {self.folder}: {str(error).splitlines()[0]}") from error
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what travels: the contents of the files, and of the folder its name."""
@@ -180,11 +186,7 @@ class StoredPolicy:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.folder, self.threads = Path(state["name"]), state["threads"]
         self.spec, self._weights, self._graph = state["spec"], state["weights"], state["graph"]
-        # The graph refers to the file of the weights beside it.
-        with tempfile.TemporaryDirectory(prefix="triform-policy-") as folder:
-            for file, content in ((WEIGHTS_FILE, self._weights), (ONNX_FILE, self._graph)):
-                (Path(folder) / file).write_bytes(content)
-            self._open_session(Path(folder) / ONNX_FILE)
+        self._open_session()
 
 
 class PolicyRuntime(StoredPolicy):
@@ -194,7 +196,7 @@ class PolicyRuntime(StoredPolicy):
         """Load the policy in ``folder``.
 
         Args:
-            folder: Holds ``model.onnx``, ``model.safetensors`` and ``model.json``.
+            folder: Holds an exported policy.
             threads: Threads of one call. More than one helps a large network on large batches only; batches are
                 better split over calls from several threads.
 
@@ -206,8 +208,8 @@ class PolicyRuntime(StoredPolicy):
         name, cells = ("maps", network.map_size) if isinstance(network, CnnConfig) else ("patches", network.patch**2)
         self._load(network.outputs, name, cells)
 
-    def _open_session(self, path: Path) -> None:
-        super()._open_session(path)
+    def _open_session(self) -> None:
+        super()._open_session()
         self._network = network = map_network(self.spec.network)
         self._workspace = _Workspace(network.patches, network.patch**2)
 

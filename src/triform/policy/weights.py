@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import safetensors.torch
+import torch
 from safetensors import SafetensorError
 
-from triform.files import make_folder, sha256, write_together
-from triform.policy.checkpoint import SPEC_FILE, WEIGHTS_FILE, PolicySpec, read_spec, read_weights
+from triform.policy.checkpoint import SPEC_FILE, PolicySpec, read_weights, write_policy
 from triform.policy.kinds import make_network
 from triform.policy.network import PolicyNetwork
 from triform.types import TriformError
 
 
 def save_policy(folder: Path, network: PolicyNetwork, spec: PolicySpec) -> None:
-    """Write a policy into ``folder``; each file is complete or absent, and an old one stays until then.
+    """Write a policy that is not exported into ``folder``; one that was there stays until it is replaced at once.
 
     Raises:
         TriformError: If the files cannot be written.
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    data = safetensors.torch.save(tensors)
-    make_folder(folder)
-    described = replace(spec, weights_sha256=sha256(data)).to_json().encode()
-    write_together(folder, {WEIGHTS_FILE: data, SPEC_FILE: described})
+    write_policy(folder, spec, safetensors.torch.save(tensors))
 
 
 def load_policy(folder: Path) -> tuple[PolicyNetwork, PolicySpec]:
@@ -34,11 +30,21 @@ def load_policy(folder: Path) -> tuple[PolicyNetwork, PolicySpec]:
     Raises:
         TriformError: If the folder holds no policy, or its weights do not fit its description.
     """
-    spec = read_spec(folder)
-    data = read_weights(folder, spec)
-    network = make_network(spec.network)
+    spec, weights = read_weights(folder)
+    return network_of(spec, weights), spec
+
+
+def network_of(spec: PolicySpec, weights: bytes) -> PolicyNetwork:
+    """The network that ``spec`` describes, with the ``weights`` of its safetensors file.
+
+    Raises:
+        TriformError: If they do not fit.
+    """
+    # Without memory for numbers, so that no description can ask for more than the weights have.
+    with torch.device("meta"):
+        network = make_network(spec.network)
     try:
-        network.load_state_dict(safetensors.torch.load(data))
+        network.load_state_dict(safetensors.torch.load(weights), assign=True)
     except (SafetensorError, RuntimeError) as error:
-        raise TriformError(f"the weights in {folder} do not fit the network that {SPEC_FILE} describes") from error
-    return network.eval(), spec
+        raise TriformError(f"the weights do not fit the network that {SPEC_FILE} describes") from error
+    return network.eval()

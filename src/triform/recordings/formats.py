@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import tokenize
 from collections.abc import Mapping, Sequence
@@ -18,6 +19,13 @@ COLUMNS = ("time", "robot", "x", "y", "heading")
 _NUMBERS = ("time", "x", "y", "heading")
 #: The first of these that a table has tells its runs apart; the second one does in files of ``triform reproduce``.
 _RUN_COLUMNS = ("run", "robots")
+#: What other programs put between columns.
+_SEPARATORS = {";": "semicolons", "\t": "tabs"}
+#: A text has none of these characters in its first bytes.
+_NO_TEXT = bytes(set(range(32)) - set(b"\t\n\v\f\r"))
+_FIRST_BYTES, _CHUNK = 4096, 1 << 20
+#: Nothing is recorded later, in seconds of any clock, or farther away, in metres or radians.
+_LATEST, _FARTHEST = 1e12, 1e6
 #: Cells that stand for no measurement.
 _MISSING = ("", "NaN", "nan", "NA", "null")
 
@@ -62,10 +70,14 @@ def make_track(where: str, time: FloatArray, poses: FloatArray) -> Track:
         poses: Poses, shape (T, 3); those that are not finite were not seen.
 
     Raises:
-        TriformError: The robot is at two places at the same moment.
+        TriformError: The robot is at two places at the same moment, or a number is no place or moment at all.
     """
     seen = np.isfinite(poses).all(axis=1)
     time, poses = time[seen], poses[seen]
+    absurd = np.flatnonzero((np.abs(time) > _LATEST) | (np.abs(poses) > _FARTHEST).any(axis=1))
+    if len(absurd):
+        x, y, heading = poses[absurd[0]]
+        raise TriformError(f"{where} is at ({x:.4g} m, {y:.4g} m, {heading:.4g} rad) at time {time[absurd[0]]:.15g} s")
     order = np.argsort(time, kind="stable")
     time, poses = time[order], poses[order]
     repeated = 1 + np.flatnonzero(np.diff(time) == 0)
@@ -111,19 +123,55 @@ def read_array(path: Path, rate: float | None) -> list[RawRun]:
     return [wide_run(label, time, robots, poses) for label, poses in zip(labels, runs, strict=True)]
 
 
+def encoding_of(path: Path) -> str:
+    """Return how to read a text file: as UTF-8 if it is that, else byte by byte, as Latin-1.
+
+    Nothing but names can be outside ASCII, so names in any encoding leave a file readable, and distinct.
+
+    Raises:
+        TriformError: The file is no text.
+    """
+    decoder = codecs.getincrementaldecoder("utf-8-sig")()
+    with path.open("rb") as file:
+        piece = file.read(_FIRST_BYTES)
+        if len(piece.translate(None, _NO_TEXT)) < len(piece):
+            raise TriformError(f"{path} cannot be read: it is no text")
+        try:
+            while piece:
+                decoder.decode(piece)
+                piece = file.read(_CHUNK)
+            decoder.decode(b"", final=True)
+        except UnicodeDecodeError:
+            return "latin-1"
+    return "utf-8-sig"
+
+
+def require_commas(path: Path, headings: Sequence[str]) -> None:
+    """Refuse a file whose first line is not cut by commas.
+
+    Raises:
+        TriformError: Another separator is in the first of its cells.
+    """
+    for separator, name in _SEPARATORS.items():
+        if headings and separator in headings[0]:
+            raise TriformError(f"{path} has {name} between its columns; commas are needed, and points in numbers")
+
+
 def read_csv(path: Path) -> list[RawRun]:
     """Read a table of poses from CSV with one line of headings.
 
     Raises:
         TriformError: A column is missing or a cell is no number; line and column are named.
     """
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    encoding = encoding_of(path)
+    with path.open(newline="", encoding=encoding) as file:
         reader = csv.reader(file)
         names = [cell.strip() for cell in next((row for row in reader if row), [])]
         lines = reader.line_num
+    require_commas(path, names)
     kept = _kept(path, names)
     wanted = {names.index(name): name for name in kept}
-    table = read_cells(path, lines, len(names), wanted, [name for name in kept if name not in _NUMBERS])
+    table = read_cells(path, encoding, lines, len(names), wanted, [name for name in kept if name not in _NUMBERS])
     return _long_runs(path, table)
 
 
@@ -154,11 +202,14 @@ def read_parquet(path: Path) -> list[RawRun]:
     return _long_runs(path, table)
 
 
-def read_cells(path: Path, lines: int, width: int, wanted: Mapping[int, str], texts: Sequence[str] = ()) -> Any:
+def read_cells(
+    path: Path, encoding: str, lines: int, width: int, wanted: Mapping[int, str], texts: Sequence[str] = ()
+) -> Any:
     """Read columns of a CSV file that may be very long.
 
     Args:
         path: The file.
+        encoding: Its encoding.
         lines: Lines above the values.
         width: Number of columns.
         wanted: Name of every column that is read, by its place; ``time`` and ``texts`` must have no empty cells.
@@ -177,7 +228,9 @@ def read_cells(path: Path, lines: int, width: int, wanted: Mapping[int, str], te
     try:
         table = arrow_csv.read_csv(
             path,
-            read_options=arrow_csv.ReadOptions(column_names=names, skip_rows=lines),
+            read_options=arrow_csv.ReadOptions(
+                column_names=names, skip_rows=lines, encoding=encoding.removesuffix("-sig")
+            ),
             convert_options=arrow_csv.ConvertOptions(
                 include_columns=list(wanted.values()),
                 column_types={name: pa.string() if name in texts else pa.float64() for name in wanted.values()},
@@ -191,13 +244,16 @@ def read_cells(path: Path, lines: int, width: int, wanted: Mapping[int, str], te
         if not any(table[name].null_count for name in ("time", *texts)):
             return table
         reason = "a cell of time or of a name is empty"
-    raise TriformError(_first_bad_line(path, lines, width, wanted, texts) or f"{path} cannot be read: {reason}")
+    wrong = _first_bad_line(path, encoding, lines, width, wanted, texts)
+    raise TriformError(wrong or f"{path} cannot be read: {reason}")
 
 
-def _first_bad_line(path: Path, lines: int, width: int, wanted: Mapping[int, str], texts: Sequence[str]) -> str | None:
+def _first_bad_line(
+    path: Path, encoding: str, lines: int, width: int, wanted: Mapping[int, str], texts: Sequence[str]
+) -> str | None:
     """Say what is wrong with the first line that cannot be read; ``None`` if there is no such line."""
     empty = True
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    with path.open(newline="", encoding=encoding) as file:
         reader = csv.reader(file)
         for row in reader:
             if reader.line_num <= lines or not row:

@@ -21,8 +21,11 @@ from triform.simulation import Arena, Footprint
 from triform.simulation.ray_kernels import Scene
 from triform.simulation.world_kernels import Contacts, record_contacts
 from triform.threads import limit_threads
-from triform.types import require
+from triform.types import TriformError, convert_fields, require
 from triform.version import __version__
+
+#: Robots are not farther from their neighbours, or closer to them, than the prescribed distance by this factor.
+_SCALE = 30.0
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ class MeasureConfig:
     threads: int | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(len(self.files) > 0, "no file is named; name the recorded runs to measure")
         require(0 < self.distance < np.inf, f"distance is {self.distance} m; it must be positive and finite")
         arrays = any(path.suffix == ".npy" for path in self.files)
@@ -100,6 +104,7 @@ def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluatio
         for path in config.files:
             for recording in read_recordings(path, config.rate, config.start, config.end):
                 which = {"run": np.array([len(recordings)]), "recording": np.array([recording.label])}
+                _refuse_scale(recording, config.distance)
                 overlap = np.array([any_overlap(recording.trajectory, config.outline)])
                 tables.append(which | measure(recording.trajectory, config.distance, collision=overlap))
                 recordings.append(recording)
@@ -121,6 +126,18 @@ def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluatio
     for path in written:
         listener.say(f"wrote {path}")
     return evaluation
+
+
+def _refuse_scale(recording: Recording, distance: float) -> None:
+    """Refuse positions that cannot be in metres: at the end, robots are far from their prescribed distance [m]."""
+    last = recording.trajectory.poses[0, -1, :, :2][recording.trajectory.active[0, -1]]
+    apart = np.linalg.norm(last[:, None] - last, axis=2) + np.where(np.eye(len(last)), np.inf, 0.0)
+    nearest = float(np.median(apart.min(axis=1))) if len(last) > 1 else distance
+    if not distance / _SCALE < nearest < distance * _SCALE:
+        raise TriformError(
+            f"{recording.label}: at the end robots are {nearest:.4g} m from their nearest one, and distance is "
+            f"{distance:g} m; positions and distance in metres are needed"
+        )
 
 
 def any_overlap(trajectory: Trajectory, footprint: Footprint) -> bool:

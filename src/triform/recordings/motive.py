@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from triform.recordings.formats import RawRun, read_cells, wide_run
+from triform.recordings.formats import RawRun, encoding_of, read_cells, require_commas, wide_run
 from triform.types import FloatArray, TriformError
 
-#: How a file begins, in any encoding that Motive writes.
+#: How a file begins.
 SIGNATURE = "Format Version"
 
 _METRES = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
@@ -27,15 +27,23 @@ _EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 _HEAD = 20
 #: A robot on the ground is tilted by less [rad]; one that is not has another axis up.
 _LARGEST_TILT = np.pi / 4
+#: On a floor, heights of robots differ by less [m]. By more than the second they differ only where positions have
+#: another axis up along which they differ less, and a robot's own height changes by less than the third.
+_LARGEST_STEP, _LEAST_STEP, _LARGEST_RISE = 0.5, 0.2, 0.1
+#: Largest error of the length of a quaternion, and of the rate of frames, as a share.
+_LARGEST_ERROR = 0.1
 
 
+# Numbers near the end of floating point are refused by what is made of them.
+@np.errstate(over="ignore", invalid="ignore")
 def read_motive(path: Path) -> list[RawRun]:
     """Read the rigid bodies of a take; markers and skeletons are ignored.
 
     Raises:
         TriformError: The file is no export of this kind, has no rigid bodies, or they are not upright.
     """
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    encoding = encoding_of(path)
+    with path.open(newline="", encoding=encoding) as file:
         reader = csv.reader(file)
         head: list[list[str]] = []
         for row in reader:
@@ -43,9 +51,9 @@ def read_motive(path: Path) -> list[RawRun]:
             if head[-1][:1] == ["Frame"] or len(head) == _HEAD:
                 break
         lines = reader.line_num
-    version, rotation, units, space = (
-        _setting(head[0], name) for name in (SIGNATURE, "Rotation Type", "Length Units", "Coordinate Space")
-    )
+    require_commas(path, head[0])
+    names = (SIGNATURE, "Rotation Type", "Length Units", "Coordinate Space", "Export Frame Rate")
+    version, rotation, units, space, rate = (_setting(head[0], name) for name in names)
     axes = "XYZW" if rotation == "Quaternion" else "XYZ"
     if not re.fullmatch("1[.]2[0-5]?", version):
         raise TriformError(f"{path} is a Motive export of format version {version!r}; 1.2 to 1.25 can be read")
@@ -62,12 +70,18 @@ def read_motive(path: Path) -> list[RawRun]:
             if part not in columns:
                 raise TriformError(f"{path}: the rigid body {body!r} has no column {' '.join(part)}")
             wanted[columns[part]] = " ".join([body, *part])
-    table = read_cells(path, lines, len(head[-1]), wanted)
+    table = read_cells(path, encoding, lines, len(head[-1]), wanted)
     time = table["time"].to_numpy()
+    _refuse_other_rate(path, time, rate)
+    positions = np.stack(
+        [[table[f"{body} Position {axis}"].to_numpy() * _METRES[units] for axis in "XYZ"] for body in bodies]
+    )
+    _refuse_other_axis(path, positions)
     poses = []
-    for body in bodies:
+    for body, (x, _, z) in zip(bodies, positions, strict=True):
         turn = np.stack([table[f"{body} Rotation {axis}"].to_numpy() for axis in axes])
-        x, _, z = (table[f"{body} Position {axis}"].to_numpy() * _METRES[units] for axis in "XYZ")
+        if rotation == "Quaternion" and (np.abs(np.linalg.norm(turn, axis=0) - 1) > _LARGEST_ERROR).any():
+            raise TriformError(f"{path}: the rotations of the rigid body {body!r} are no quaternions of length 1")
         front, up = axes_of_quaternion(turn) if rotation == "Quaternion" else axes_of_euler(turn, rotation)
         tilt = np.arccos(np.clip(up[1], -1, 1))
         if (tilt > _LARGEST_TILT).any():
@@ -78,6 +92,46 @@ def read_motive(path: Path) -> list[RawRun]:
             )
         poses.append(np.stack([z, x, np.arctan2(front[0], front[2])], axis=1))
     return [wide_run(str(path), time, list(bodies), np.stack(poses, axis=1))]
+
+
+def _refuse_other_rate(path: Path, time: FloatArray, rate: str) -> None:
+    """Refuse a take whose times are not those of its rate of frames [Hz], where its first line has one."""
+    try:
+        said = float(rate)
+    except ValueError:
+        return
+    steps = np.diff(time)
+    found = 1 / np.median(steps) if len(steps) and np.median(steps) > 0 else said
+    if not abs(found - said) <= _LARGEST_ERROR * said:
+        raise TriformError(
+            f"{path} has an export frame rate of {said:g} Hz, but {found:.4g} records per second; are times in seconds?"
+        )
+
+
+def _refuse_other_axis(path: Path, positions: FloatArray) -> None:
+    """Refuse positions that have another axis up than y: on a floor all heights are nearly one.
+
+    Args:
+        path: The file, for the message.
+        positions: Positions of every body, shape (N, 3, T) [m]; ``NaN`` where it was not seen.
+    """
+    seen = [body[:, np.isfinite(body).all(axis=0)] for body in positions if np.isfinite(body).all(axis=0).any()]
+    if not seen:
+        return
+    middles = np.array([np.median(body, axis=1) for body in seen])
+    apart = np.ptp(middles, axis=0)
+    moved = np.concatenate([body - middle[:, None] for body, middle in zip(seen, middles, strict=True)], axis=1)
+    rise = np.subtract(*np.quantile(moved, [0.75, 0.25], axis=1))
+    if (
+        apart[1] > _LARGEST_STEP
+        or _LEAST_STEP < apart[1] > min(apart[0], apart[2])
+        or _LARGEST_RISE < rise[1] > min(rise[0], rise[2])
+    ):
+        x, y, z = np.maximum(apart, rise)
+        raise TriformError(
+            f"{path}: along X, Y and Z the positions of its rigid bodies differ by {x:.2f}, {y:.2f} and {z:.2f} m; "
+            "robots on a floor have nearly one height, so positions and rotations with the y axis up are needed"
+        )
 
 
 def axes_of_quaternion(quaternion: FloatArray) -> tuple[FloatArray, FloatArray]:

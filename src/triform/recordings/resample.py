@@ -21,6 +21,8 @@ LONGEST_GAP = 0.5
 _SHORTEST_PERIOD, _BURST_PERIOD = 0.001, 0.1
 #: What is closer than this share of a period is the same moment.
 _SAME_MOMENT = 0.01
+#: No robot is so fast [m/s]; speeds are taken over so long [s], and by this share of them.
+_FASTEST, _SPEED_TIME, _SPEED_SHARE = 10.0, 0.1, 0.9
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,9 @@ def read_recordings(
     """
     try:
         raw = _read(path, rate)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = "it is no text" if isinstance(error, UnicodeDecodeError) else getattr(error, "strerror", None)
-        raise TriformError(f"{path} cannot be read: {(reason or str(error)).lower()}") from None
+    except (OSError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise TriformError(f"{path} cannot be read: {reason.lower()}") from None
     recordings = [even_out(run, start, end) for run in raw]
     if not recordings:
         raise TriformError(f"{path} holds no poses")
@@ -94,13 +96,14 @@ def even_out(run: RawRun, start: float = 0.0, end: float | None = None) -> Recor
         end: What comes later is left out [s]; nothing by default.
 
     Raises:
-        TriformError: A robot is not seen for more than 0.5 s and then again, less than 5 s are left, or there are
-            never two robots at a time.
+        TriformError: A robot is not seen for more than 0.5 s and then again, less than 5 s are left, there are
+            never two robots at a time, or positions, headings and times cannot be in metres, radians and seconds.
     """
     whole = {name: run.tracks[name] for name in sorted(run.tracks, key=natural) if len(run.tracks[name].time)}
     if not whole:
         raise TriformError(f"{run.label} holds no poses")
     zero = min(float(track.time[0]) for track in whole.values())
+    _refuse_degrees(run.label, whole)
     tracks = _cut(whole, zero + start, np.inf if end is None else zero + end)
     for name, track in tracks.items():
         _refuse_gaps(f"{run.label}: robot {name}", track.time, zero)
@@ -125,6 +128,7 @@ def even_out(run: RawRun, start: float = 0.0, end: float | None = None) -> Recor
     active = np.isfinite(poses[..., 0])
     if active.sum(axis=1).max() < 2:
         raise TriformError(f"{run.label} has never two robots at a time; a formation has at least two")
+    _refuse_speed(run.label, tuple(tracks), poses, period)
     unknown = np.broadcast_to(np.nan, (1, len(time) - 1, len(tracks), 3))
     changes = _changes(run.label, tracks, begin, finish, margin)
     return Recording(run.label, tuple(tracks), Trajectory(time, poses[None], active[None], unknown), changes)
@@ -149,6 +153,28 @@ def _period(label: str, tracks: dict[str, Track]) -> float:
     # Times are rounded, so the median alone would gain or lose records over a long run.
     period = float(periods[(ratios > 0.5) & (ratios < 1.5)].mean())
     return period if period >= _SHORTEST_PERIOD else _BURST_PERIOD
+
+
+def _refuse_degrees(label: str, tracks: dict[str, Track]) -> None:
+    """Refuse headings that begin beyond a turn in most tracks: counted in radians they begin within one."""
+    first = np.array([abs(track.poses[0, 2]) for track in tracks.values()])
+    if np.median(first) > 2 * np.pi:
+        raise TriformError(
+            f"{label} has headings such as {first.max():.4g}; they look like degrees, radians are needed"
+        )
+
+
+def _refuse_speed(label: str, robots: tuple[str, ...], poses: FloatArray, period: float) -> None:
+    """Refuse robots that are faster, by positions and times, than any robot; poses of shape (T, N, 3)."""
+    lag = max(1, round(_SPEED_TIME / period))
+    speeds = np.linalg.norm(poses[lag:, :, :2] - poses[:-lag, :, :2], axis=2) / (lag * period)
+    for name, own in zip(robots, speeds.T, strict=True):
+        usual = np.quantile(own[np.isfinite(own)], _SPEED_SHARE) if np.isfinite(own).any() else 0.0
+        if usual > _FASTEST:
+            raise TriformError(
+                f"{label}: robot {name} moves at {usual:.3g} m/s by its positions and times; metres and seconds are "
+                "needed"
+            )
 
 
 def _changes(label: str, tracks: dict[str, Track], begin: float, finish: float, margin: float) -> tuple[str, ...]:

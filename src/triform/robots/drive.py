@@ -25,7 +25,7 @@ from triform.control import (
     reaction_time,
     weights_folder,
 )
-from triform.control.detection import detect_robots
+from triform.control.detection import detect_robots, kernel_footprint
 from triform.policy import PolicyRuntime
 from triform.robots.latency import Budget
 from triform.robots.ldrobot import MODELS, LidarModel, LidarPort
@@ -33,9 +33,9 @@ from triform.robots.real import RealRobot, Step
 from triform.robots.recorder import Recorder
 from triform.robots.robomaster import USB_ADDRESS, WIFI_ADDRESS, RoboMaster
 from triform.signals import StopSignals
-from triform.simulation import Drive, Footprint, Profile, get_profile
+from triform.simulation import Drive, Footprint, Mounting, Placement, Profile, get_profile, read_sectors
 from triform.threads import limit_threads
-from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, require
+from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, convert_fields, require
 
 #: How long a LiDAR may take to give its first scan, because it has to start turning [s].
 _FIRST_SCAN = 8.0
@@ -58,14 +58,20 @@ class DriveConfig:
         profile: Robot profile, whose footprint, speed, lag and latency hold: a name or a TOML file.
         max_speed: Largest speed along x and along y [m/s]; the profile's if omitted.
         max_turn_rate: Largest turn rate [rad/s].
-        watchdog: How long the base holds a command, and how late its answer may be [s]; longer than a control period.
+        watchdog: How long the base holds a command that no newer one follows [s]; at least two control periods, because
+            the base has to confirm a newer one within this time.
         duration: How long to drive [s]; until Ctrl-C if omitted.
         dry_run: Whether commands are shown and not sent; no base is needed then.
         record: Folder for a recording.
         robot: Number of this robot in the recording.
         start_pose: Where it starts in the recording, x, y and heading [m, m, rad].
         seed: Of its exploration noise, different on every robot; drawn anew every time if omitted.
-        mounting: Direction of the LiDAR's own zero in the robot's frame, counter-clockwise [rad].
+        mounting: Direction of the LiDAR's own zero in the robot's frame, counter-clockwise [rad]; the profile's if
+            omitted, as what follows.
+        lidar_position: Where the LiDAR is, forward and left of the robot's centre [m, m].
+        upside_down: Whether the LiDAR hangs upside down.
+        blind_sector: Sectors in which the LiDAR sees only the robot itself, each from one angle counter-clockwise to
+            another [deg], such as 170:190.
         footprint: Outline of the robots: a name such as ep, circle:0.30 (diameter) or box:0.41x0.24 [m]; the profile's
             if omitted.
         odometry: Whether to use the odometry of the wheels.
@@ -90,12 +96,16 @@ class DriveConfig:
     robot: int = 0
     start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     seed: int | None = None
-    mounting: float = 0.0
+    mounting: float | None = None
+    lidar_position: tuple[float, float] | None = None
+    upside_down: bool = False
+    blind_sector: tuple[str, ...] = ()
     footprint: str | None = None
     odometry: bool = True
     guard: bool = True
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         farthest = self.model.range_max / SENSING_RANGE
         require(
             0 < self.distance <= farthest,
@@ -110,8 +120,8 @@ class DriveConfig:
             f"max_turn_rate is {self.max_turn_rate} rad/s; it must be positive and finite",
         )
         require(
-            self.control_period < self.watchdog < math.inf,
-            f"watchdog is {self.watchdog} s; it must be finite and longer than a control period of "
+            2 * self.control_period <= self.watchdog < math.inf,
+            f"watchdog is {self.watchdog} s; it must be finite and at least two control periods of "
             f"{self.control_period:g} s",
         )
         if self.duration is not None:
@@ -120,8 +130,7 @@ class DriveConfig:
         require(self.robot >= 0, f"robot is {self.robot}; it must not be negative")
         require(self.seed is None or self.seed >= 0, f"seed is {self.seed}; it must not be negative")
         require(all(map(math.isfinite, self.start_pose)), f"start_pose is {self.start_pose}; it must be finite")
-        require(math.isfinite(self.mounting), f"mounting is {self.mounting} rad; it must be finite")
-        _ = SafetySettings(self.outline)
+        _ = SafetySettings(self.outline), self.mounted
 
     @property
     def kind(self) -> Profile:
@@ -145,9 +154,27 @@ class DriveConfig:
         return MODELS[self.lidar_model]
 
     @property
+    def mounted(self) -> Mounting:
+        """How the LiDAR is mounted."""
+        usual = self.kind.mounting
+        x, y = (usual.x, usual.y) if self.lidar_position is None else self.lidar_position
+        return Mounting(
+            x,
+            y,
+            usual.yaw if self.mounting is None else self.mounting,
+            usual.upright and not self.upside_down,
+            usual.blind_sectors + read_sectors(" ".join(self.blind_sector)),
+        )
+
+    @property
     def scan(self) -> ScanConfig:
         """Shape of a turn: the robot uses 2 d* of what its LiDAR sees."""
         return self.model.scan_config(SENSING_RANGE * self.distance)
+
+    @property
+    def placement(self) -> Placement:
+        """What brings turns of the LiDAR into the robot's frame."""
+        return Placement(self.scan, self.mounted, kernel_footprint(self.outline))
 
     @property
     def control_period(self) -> float:
@@ -230,7 +257,7 @@ def run_drive(config: DriveConfig, listener: DriveListener) -> None:
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if config.seed is None else config.seed
 
     with limit_threads(1), ExitStack() as stack:
-        lidar = stack.enter_context(LidarPort(config.lidar, config.model, config.scan, config.mounting))
+        lidar = stack.enter_context(LidarPort(config.lidar, config.model, mounting=config.mounted))
         _warm_up(lidar, controller, config)
         base = None
         if not config.dry_run:
@@ -272,6 +299,7 @@ def run_drive(config: DriveConfig, listener: DriveListener) -> None:
                     config.control_period,
                     seed,
                     config.limits,
+                    placement=config.placement,
                     odometry=config.odometry,
                     on_sent=tell,
                     warn=listener.warn,
@@ -307,4 +335,5 @@ def _warm_up(lidar: LidarPort, controller: Controller[View], config: DriveConfig
     """Wait for a scan and do all of a step but the wheels: compiled kernels are loaded before anything moves."""
     turn = lidar.wait(time.monotonic(), _FIRST_SCAN)
     detect_robots(Scan(turn.ranges, config.scan), config.outline)
-    drive(RealRobot(lidar, None, config.control_period, 0, config.limits), controller, config.control_period)
+    robot = RealRobot(lidar, None, config.control_period, 0, config.limits, placement=config.placement)
+    drive(robot, controller, config.control_period)

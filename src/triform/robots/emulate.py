@@ -27,6 +27,7 @@ from triform.simulation import (
     HARDWARE,
     Arena,
     LidarConfig,
+    Mounting,
     Profile,
     World,
     apply_noise,
@@ -36,7 +37,7 @@ from triform.simulation import (
     sample_starts,
 )
 from triform.simulation.odometry import relative_poses
-from triform.types import SENSING_RANGE, FloatArray, ScanConfig, require
+from triform.types import SENSING_RANGE, FloatArray, ScanConfig, convert_fields, require
 
 #: Robots and rays move on by so much at a time [s].
 STEP = 0.01
@@ -83,6 +84,7 @@ class EmulateConfig:
     record: Path | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(1 <= self.robots <= _MOST_ROBOTS, f"robots is {self.robots}; 1 to {_MOST_ROBOTS} can be emulated")
         require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
         require(self.index >= 0, f"index is {self.index}; it must not be negative")
@@ -154,10 +156,13 @@ class Emulation:
         model = config.model
         poses = config.draw_start()[None]
         self._profile = config.kind
-        self._noise = replace(self._profile.lidar, scan=model.scan_config())
+        mounting = self._profile.mounting
+        self._noise, self._eye = replace(self._profile.lidar, scan=model.scan_config()), (mounting.x, mounting.y)
         # The world only moves the robots; its own LiDAR has a single ray, and hardly ever turns.
         blind = LidarConfig(ScanConfig(rays=1), period=1e6)
-        self._world = World(poses, replace(self._profile, lidar=blind, time_step=STEP), config.surroundings)
+        self._world = World(
+            poses, replace(self._profile, lidar=blind, mounting=Mounting(), time_step=STEP), config.surroundings
+        )
         self._latency = config.latency
         self._start = self.poses
         self._past = deque([self._world.poses] * 2, maxlen=round(config.latency / STEP) + 2)
@@ -169,7 +174,7 @@ class Emulation:
         self.bases: list[RoboMasterEmulator] = []
         with ExitStack() as opened:
             for robot, rng in enumerate(self._rngs):
-                self.lidars.append(opened.enter_context(LidarEmulator(model, rng)))
+                self.lidars.append(opened.enter_context(LidarEmulator(model, rng, mounting=mounting)))
                 self.bases.append(opened.enter_context(RoboMasterEmulator(config.base_address(robot))))
             self._stack = opened.pop_all()
 
@@ -210,7 +215,7 @@ class Emulation:
             offsets[0, robot, : len(angles)] = angles - rays.angles[: len(angles)]
         active = self._world.active
         scene = (self._profile.footprint, self._world.arena, rays, offsets)
-        exact = cast_rolling(self._past[0], self._past[1], active, *scene)[0]
+        exact = cast_rolling(self._past[0], self._past[1], active, *scene, eye=self._eye)[0]
         for lidar, angles, ranges, rng in zip(self.lidars, due, exact, self._rngs, strict=True):
             lidar.emit(apply_noise(ranges[: len(angles)], self._noise, rng))
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from triform.simulation.mounting import Mounting
 from triform.types import RangeArray, ScanConfig, require
 
 #: Share of a ray by which angles may be off: they come as float32, and a turn has many rays.
@@ -74,13 +75,20 @@ class LaserScan:
         """Share of a full turn that the rays cover."""
         return min(1.0, len(self.ranges) * abs(self.angle_increment) / (2 * math.pi))
 
+    def mounted(self, mounting: Mounting) -> LaserScan:
+        """Return the scan of a mounted LiDAR with the directions that its rays have in the base's frame."""
+        first, last = (mounting.yaw + mounting.direction * angle for angle in (self.angle_min, self.angle_max))
+        step = mounting.direction * self.angle_increment
+        return replace(self, angle_min=first, angle_max=last, angle_increment=step)
+
     def on_grid(self, grid: ScanConfig) -> RangeArray:
         """Give every ray of the grid the range of the measured ray that is nearest in angle.
 
         What is not finite stays as it is (REP 117). Below ``range_min``, the scan's or the grid's, is ``-inf``, and
-        above ``range_max``, the scan's or the grid's, ``+inf``. Zero or less, which many drivers write for "nothing
-        valid", is ``NaN``, and so is a ray of the grid that is farther from all measured ones than half the larger of
-        both spacings: a part of the turn that the LiDAR does not see is not free, it is unknown.
+        above the scan's ``range_max`` ``+inf``; returns from beyond the grid's are kept, because they show that the
+        LiDAR measures. Zero or less, which many drivers write for "nothing valid", is ``NaN``, and so is a ray of the
+        grid that is farther from all measured ones than half the larger of both spacings: a part of the turn that the
+        LiDAR does not see is not free, it is unknown.
 
         Args:
             grid: The full turn that is wanted, in the same frame.
@@ -105,8 +113,7 @@ class LaserScan:
         nearest, distance = self._nearest(grid)
         measured = np.asarray(self.ranges, dtype=np.float32)[nearest]
         near = max(self.range_min, grid.range_min)
-        far = min(self.range_max, grid.range_max)
-        placed = np.where(measured > far, np.float32(np.inf), measured)
+        placed = np.where(measured > self.range_max, np.float32(np.inf), measured)
         placed[(measured > 0) & (measured < near)] = -np.inf
         unseen = distance > 0.5 * max(1.0, grid.angle_increment / step) + _SLACK
         placed[unseen | ((measured <= 0) & (measured > -np.inf))] = np.nan

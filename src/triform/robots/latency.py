@@ -21,6 +21,33 @@ PARTS = {
 }
 
 
+#: Shortest time that is told from longer ones [s], ratio of the bounds of a bin, and number of bins: up to 1000 s.
+_SHORTEST, _RATIO, _BINS = 1e-6, 1.002, 10_400
+
+
+class Durations:
+    """How often each duration came, in bins: as much memory after a day as after a second."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._counts = np.zeros(_BINS, dtype=np.int64)
+        self._longest = -math.inf
+
+    def add(self, seconds: float) -> None:
+        """Count a duration [s]."""
+        self._longest = max(self._longest, seconds)
+        self._counts[min(_BINS - 1, int(math.log(max(1.0, seconds / _SHORTEST)) / math.log(_RATIO)))] += 1
+
+    def summary(self) -> dict[str, float]:
+        """Return median and 95 % quantile, to 0.1 % and a microsecond, and the maximum [s]; empty without durations."""
+        reached = np.cumsum(self._counts)
+        if not reached[-1]:
+            return {}
+        bins = np.searchsorted(reached, np.array([0.5, 0.95]) * reached[-1])
+        median, p95 = np.minimum(_SHORTEST * _RATIO ** (bins + 0.5), self._longest).tolist()
+        return {"median": median, "p95": p95, "max": self._longest}
+
+
 class Budget:
     """Collects the latencies of every step: sense, map, policy, send, and their total.
 
@@ -30,7 +57,7 @@ class Budget:
     def __init__(self) -> None:
         """Begin with nothing."""
         self._mapped = -math.inf
-        self._parts: dict[str, list[float]] = {name: [] for name in PARTS}
+        self._parts = {name: Durations() for name in PARTS}
         self._turn: Turn | None = None
         self.steps = 0
         self.late_ticks = 0
@@ -57,22 +84,14 @@ class Budget:
             thought_since = self._mapped
         parts["policy"] = step.decided - thought_since
         for name, seconds in parts.items():
-            self._parts[name].append(seconds)
+            self._parts[name].add(seconds)
 
     def summary(self) -> dict[str, Any]:
         """Return counts, and median, 95 % quantile and maximum of every part [s]."""
         counts = ("steps", "late_ticks", "blind_steps", "scans_used", "scans_missed")
         return {
             **{name: getattr(self, name) for name in counts},
-            "seconds": {
-                name: {
-                    "median": float(np.median(seconds)),
-                    "p95": float(np.quantile(seconds, 0.95)),
-                    "max": float(np.max(seconds)),
-                }
-                for name, seconds in self._parts.items()
-                if seconds
-            },
+            "seconds": {name: found for name, durations in self._parts.items() if (found := durations.summary())},
         }
 
     def _count_turn(self, turn: Turn) -> None:

@@ -10,11 +10,13 @@ from typing import Protocol
 
 import numpy as np
 
+from triform.control.sight import BLIND_TURNS, Sight, has_sight
 from triform.robots.laser_scan import Turn
-from triform.simulation import Drive, limit_twists
+from triform.robots.odometry import is_motion, is_place
+from triform.simulation import Drive, Placement, limit_twists
 from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
 from triform.simulation.odometry import relative_poses, resting_poses
-from triform.types import FloatArray, Scan, ScanConfig, TriformError, View, require
+from triform.types import FloatArray, RangeArray, Scan, ScanConfig, TriformError, View, require
 
 #: A robot's velocity is taken over this long [s].
 _SPEED_TIME = 0.1
@@ -105,8 +107,8 @@ class RealRobot:
     The robot decides at the ticks of a steady clock. What a late command costs is not made up for: the clock starts
     anew from it.
 
-    A robot without a fresh scan stands still, whatever its controller says: a controller takes an empty scan for an
-    empty room, and one that searches for its team would drive off blind.
+    A robot without a fresh scan, or whose scans show nothing for some turns (``triform.control.sight``), stands still,
+    whatever its controller says. What can only be the robot itself is unknown to its controller.
 
     Attributes:
         control_period: Time between two commands [s].
@@ -121,6 +123,7 @@ class RealRobot:
         seed: int,
         limits: Drive,
         *,
+        placement: Placement | None = None,
         odometry: bool = True,
         scan_timeout: float = 0.5,
         on_sent: Callable[[Step], None] | None = None,
@@ -134,10 +137,11 @@ class RealRobot:
             control_period: Time between two commands [s].
             seed: Of the exploration noise; robots of one team need different ones.
             limits: Commands are cut to these speeds.
+            placement: Brings turns of the LiDAR into the frame of the base; they are there if omitted.
             odometry: Whether a view says how far the robot has come since its scan.
             scan_timeout: An older scan is no scan [s].
             on_sent: Called when a command has been sent, before the robot waits for its next tick.
-            warn: Called with a sentence when scans stop coming.
+            warn: Called with a sentence when scans stop coming or show nothing, and once if they show the robot itself.
 
         Raises:
             ConfigurationError: A time is not positive.
@@ -145,7 +149,8 @@ class RealRobot:
         require(0 < control_period < math.inf, f"control_period is {control_period} s; it must be positive and finite")
         require(0 < scan_timeout < math.inf, f"scan_timeout is {scan_timeout} s; it must be positive and finite")
         self._lidar, self._base = lidar, base
-        self._scan = lidar.scan
+        self._placement = placement or Placement(lidar.scan)
+        self._sight = Sight()
         self.control_period = control_period
         self._limits = limits
         self._keys = noise_keys([np.random.SeedSequence(seed)], 1)
@@ -155,27 +160,40 @@ class RealRobot:
         self._on_sent, self._warn = on_sent, warn
         self._turn: Turn | None = None
         self._view: View | None = None
-        self._blind = False
+        self._ranges: RangeArray = np.full(self._placement.scan.rays, np.inf, np.float32)
+        self._standing = ""
+        self._shows_itself = False
         self.late_ticks = 0
         self._started = self._seen = self._due = time.monotonic()
 
     def observe(self) -> View:
-        """Return the newest scan; ``+inf`` before the first one, ``NaN`` if it is too old.
+        """Return the newest scan, as seen from the base's centre; ``+inf`` before the first one, ``NaN`` if too old.
 
         Raises:
             TriformError: The LiDAR is lost.
         """
-        self._turn = turn = self._lidar.latest()
+        last, self._turn = self._turn, self._lidar.latest()
+        turn = self._turn
         self._seen = now = time.monotonic()
+        if turn is not None and (last is None or turn.ended > last.ended):
+            self._look(turn)
         old = turn is not None and now - turn.ended > self._timeout
-        if old and not self._blind and self._warn is not None:
-            self._warn(f"no new scan for {self._timeout:g} s: the robot stands still until one comes")
-        self._blind = turn is None or old
-        ranges = np.full(self._scan.rays, np.nan if old else np.inf, np.float32)
-        if turn is not None and not old:
-            ranges = turn.ranges
+        reason = ""
+        if old:
+            reason = f"no new scan for {self._timeout:g} s: the robot stands still until one comes"
+        elif turn is not None and self._sight.trust == 0:
+            reason = (
+                f"the LiDAR has shown nothing, or less than half of its surroundings, for {BLIND_TURNS} turns: the "
+                "robot stands still until it sees again"
+            )
+        if reason and not self._standing and self._warn is not None:
+            self._warn(reason)
+        self._standing = reason
+        ranges = self._ranges
+        if turn is None or old:
+            ranges = np.full_like(ranges, np.nan if old else np.inf)
         self._view = View(
-            scans=Scan(ranges[None, None], self._scan),
+            scans=Scan(ranges[None, None], self._placement.scan),
             active=_ONE,
             time=now - self._started,
             noise=self._noise_scale * exploration_noise(self._keys, 1, now - self._started),
@@ -196,7 +214,8 @@ class RealRobot:
         if commands.shape != (1, 1, 3) or not np.isfinite(commands).all():
             raise TriformError(f"the command {commands} cannot be driven; three finite numbers are needed")
         decided = time.monotonic()
-        command = np.zeros(3) if self._blind else limit_twists(commands, self._limits)[0, 0]
+        blind = self._turn is None or self._standing != ""
+        command = np.zeros(3) if blind else self._sight.trust * limit_twists(commands, self._limits)[0, 0]
         if self._base is not None:
             self._base.drive(command)
         sent = time.monotonic()
@@ -207,16 +226,39 @@ class RealRobot:
             self._due = sent
         if self._on_sent is not None and self._view is not None:
             pose = None if self._base is None else self._base.odometry(sent)
-            self._on_sent(Step(self._seen, decided, sent, self._turn, self._view, command, pose, self._blind, late))
+            self._on_sent(Step(self._seen, decided, sent, self._turn, self._view, command, pose, blind, late))
         time.sleep(max(0.0, self._due - time.monotonic()))
 
+    def _look(self, turn: Turn) -> None:
+        """Take a new turn: whether it has sight, and what it shows of the surroundings."""
+        placement = self._placement
+        masked = placement.masked(turn.ranges)
+        own = np.isnan(masked) & ~np.isnan(turn.ranges) & placement.looks
+        if own.any() and not self._shows_itself and self._warn is not None:
+            degrees = np.degrees(placement.scan.angles[own])
+            self._warn(
+                f"{own.sum()} rays, the first at {degrees[0]:.0f} degrees, end within the robot's own outline: what "
+                "they show is unknown, as in a blind sector"
+            )
+        self._shows_itself |= bool(own.any())
+        self._sight.note(has_sight(masked, placement.looks))
+        self._ranges = placement.from_base(masked)
+
     def _moved(self, turn: Turn, now: float) -> FloatArray | None:
-        """Pose at rest in the frame of the robot in the middle of a turn, shape (1, 1, 3); ``None`` if not known."""
+        """Pose at rest in the frame of the robot in the middle of a turn, shape (1, 1, 3).
+
+        ``None`` if it is not known, or if the robot cannot have moved as its odometry says.
+        """
         if self._base is None:
             return None
         moments = ((turn.started + turn.ended) / 2, now - _SPEED_TIME, now)
         then, before, here = (self._base.odometry(moment) for moment in moments)
-        if then is None or before is None or here is None:
+        if then is None or before is None or here is None or not is_place(np.array([then, before, here])):
             return None
-        velocity = relative_poses(here[None, None], before[None, None], _ONE) / _SPEED_TIME
+        speed = min(self._limits.max_speed, math.sqrt(2) * self._limits.max_axis_speed)
+        fastest = np.array([speed, speed, self._limits.max_turn_rate])
+        come, last = (relative_poses(here[None, None], pose[None, None], _ONE) for pose in (then, before))
+        if not (is_motion(come, now - moments[0], fastest) and is_motion(last, _SPEED_TIME, fastest)):
+            return None
+        velocity = last / _SPEED_TIME
         return relative_poses(resting_poses(here[None, None], velocity, self._limits), then[None, None], _ONE)

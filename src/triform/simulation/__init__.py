@@ -6,6 +6,7 @@ from triform.simulation.arena import ARENAS, Arena, get_arena
 from triform.simulation.arena_file import arena_toml
 from triform.simulation.kinematics import integrate, limit_twists, steer
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
+from triform.simulation.mounting import Mounting, Placement, read_sectors
 from triform.simulation.profile_file import profile_toml
 from triform.simulation.profiles import (
     FOOTPRINTS,
@@ -37,7 +38,9 @@ __all__ = [
     "Drive",
     "Footprint",
     "LidarConfig",
+    "Mounting",
     "NoiseBand",
+    "Placement",
     "Profile",
     "SimulatedTeam",
     "World",
@@ -57,6 +60,7 @@ __all__ = [
     "make_world",
     "noise_sigma",
     "profile_toml",
+    "read_sectors",
     "sample_addition",
     "sample_starts",
     "steer",

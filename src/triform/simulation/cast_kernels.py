@@ -9,7 +9,7 @@ import numpy as np
 
 from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
 from triform.kernels import kernel
-from triform.simulation.ray_kernels import body_reach, see_box, see_circle, see_wall
+from triform.simulation.ray_kernels import see_box, see_circle, see_wall, sight_reach
 
 
 @kernel(inline="always")
@@ -20,7 +20,7 @@ def _see_robot(i: int, j: int, poses: Any, axes: Any, body: Any, limit: float, s
     if dx * dx + dy * dy > limit:
         return
     cos, sin = axes[i, 0], axes[i, 1]
-    x, y = cos * dx + sin * dy, cos * dy - sin * dx
+    x, y = cos * dx + sin * dy - scan.x, cos * dy - sin * dx - scan.y
     if body.is_circle:
         see_circle(x, y, body.half_length, scan, row)
     else:
@@ -37,11 +37,12 @@ def _see_arena(i: int, poses: Any, axes: Any, walls: Any, pillars: Any, scan: An
         x1, y1 = walls[w, 0] - poses[i, 0], walls[w, 1] - poses[i, 1]
         x2, y2 = walls[w, 2] - poses[i, 0], walls[w, 3] - poses[i, 1]
         see_wall(
-            cos * x1 + sin * y1, cos * y1 - sin * x1, cos * x2 + sin * y2, cos * y2 - sin * x2, scan, row
+            cos * x1 + sin * y1 - scan.x, cos * y1 - sin * x1 - scan.y,
+            cos * x2 + sin * y2 - scan.x, cos * y2 - sin * x2 - scan.y, scan, row,
         )  # fmt: skip
     for p in range(pillars.shape[0]):
         dx, dy = pillars[p, 0] - poses[i, 0], pillars[p, 1] - poses[i, 1]
-        see_circle(cos * dx + sin * dy, cos * dy - sin * dx, pillars[p, 2], scan, row)
+        see_circle(cos * dx + sin * dy - scan.x, cos * dy - sin * dx - scan.y, pillars[p, 2], scan, row)
 
 
 @kernel
@@ -59,7 +60,7 @@ def cast_robot(i: int, poses: Any, active: Any, scene: Any, scan: Any, axes: Any
     ``axes`` must be those of ``find_axes``.
     """
     body, walls, pillars = scene
-    limit = (scan.range_max + body_reach(body)) ** 2
+    limit = sight_reach(scan, body) ** 2
     row[:] = math.inf
     for j in range(active.shape[0]):
         if j != i and active[j]:
@@ -97,7 +98,7 @@ def cast_cells(world: Any, cells: Any, poses: Any, axes: Any, scene: Any, scan: 
     """
     robots, _, parts, _ = world
     body, walls, pillars = scene
-    limit = (scan.range_max + body_reach(body)) ** 2
+    limit = sight_reach(scan, body) ** 2
     stack, near = np.empty(SEARCH_DEPTH, dtype=np.int64), np.empty(robots.shape[0], dtype=np.int64)
     for cell in cells:
         number = find_near(world, cell, limit, stack, near)

@@ -14,7 +14,7 @@ from triform.simulation.moving_ray_kernels import cast_moving_worlds
 from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
 from triform.simulation.ray_kernels import ScanRays, Scene
 from triform.threads import in_parts, usable_threads
-from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig
+from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, as_array
 
 __all__ = ["angle_offsets", "apply_noise", "cast_rolling", "cast_scans", "cast_world", "noise_sigma", "scan_rays"]
 
@@ -24,21 +24,23 @@ RAYS_PER_THREAD = 1_000_000
 MOVING_RAYS_PER_THREAD = 50_000
 
 
-def _check_batch(poses: FloatArray, active: BoolArray) -> None:
+def _checked_batch(poses: FloatArray, active: BoolArray) -> tuple[FloatArray, BoolArray]:
+    poses, active = as_array("poses", poses), as_array("flags of active robots", active, np.bool_)
     if poses.ndim != 3 or poses.shape[2] != 3 or active.shape != poses.shape[:2]:
         raise ConfigurationError(
             f"poses of shape {poses.shape} and active of shape {active.shape} given; (B, N, 3) and (B, N) are needed"
         )
     if not np.isfinite(poses[active]).all():
         raise ConfigurationError("the poses of active robots must be finite")
+    return poses, active
 
 
 @functools.lru_cache(maxsize=16)
-def scan_rays(config: ScanConfig) -> ScanRays:
-    """Return the rays of a scan as the kernels take them."""
+def scan_rays(config: ScanConfig, x: float = 0.0, y: float = 0.0) -> ScanRays:
+    """Return the rays of a scan from (x, y) in the robot's frame [m] as the kernels take them."""
     angles = config.angles
     limits = (float(config.angle_min), float(config.range_min), float(config.range_max))
-    return ScanRays(*limits, np.cos(angles), np.sin(angles))
+    return ScanRays(*limits, np.cos(angles), np.sin(angles), float(x), float(y))
 
 
 def cast_scans(
@@ -49,6 +51,7 @@ def cast_scans(
     config: ScanConfig,
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
+    eye: tuple[float, float] = (0.0, 0.0),
 ) -> RangeArray:
     """Return what every robot's LiDAR would measure at one instant, without range noise.
 
@@ -60,21 +63,21 @@ def cast_scans(
         config: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
         dtype: Floating type of the ranges.
+        eye: Where the LiDAR is on each robot, forward and left of its centre [m].
 
     Returns:
         Ranges, shape (B, N, R) [m]: ``+inf`` beyond ``range_max``, ``-inf`` below ``range_min`` and throughout for
-        a robot whose centre lies inside an obstacle.
+        a robot whose LiDAR lies inside an obstacle.
 
     Raises:
         ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
     if offsets is not None:
-        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype)
-    _check_batch(poses, active)
-    worlds, robots = active.shape
+        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye)
+    places, mask = _checked_batch(poses, active)
+    worlds, robots = mask.shape
     ranges = np.empty((worlds, robots, config.rays), dtype)
-    places, mask = np.ascontiguousarray(poses, dtype=np.float64), np.ascontiguousarray(active)
-    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config)
+    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
     if robots <= SMALL_TEAM or worlds >= usable_threads():
         in_parts(
             lambda first, last: cast_worlds(places, mask, scene, rays, ranges, first, last),
@@ -107,6 +110,7 @@ def cast_rolling(
     config: ScanConfig,
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
+    eye: tuple[float, float] = (0.0, 0.0),
 ) -> RangeArray:
     """Return a turn in which ray k is measured at the share k / R of the way from ``start`` to ``end``.
 
@@ -121,6 +125,7 @@ def cast_rolling(
         config: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
         dtype: Floating type of the ranges.
+        eye: Where the LiDAR is on each robot, forward and left of its centre [m].
 
     Returns:
         Ranges, shape (B, N, R) [m], as ``cast_scans``.
@@ -128,22 +133,18 @@ def cast_rolling(
     Raises:
         ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
-    _check_batch(start, active)
-    _check_batch(end, active)
+    placed, mask = _checked_batch(start, active)
+    end = placed if end is start else _checked_batch(end, active)[0]
+    start = placed
     shape = (*start.shape[:2], config.rays)
-    errors = np.empty((*shape[:2], 0)) if offsets is None else np.ascontiguousarray(offsets, dtype=np.float64)
+    errors = np.empty((*shape[:2], 0)) if offsets is None else as_array("angle offsets", offsets)
     if offsets is not None and errors.shape != shape:
         raise ConfigurationError(f"angle offsets of shape {errors.shape} given; {shape} is needed")
     ranges = np.full(shape, np.inf, dtype)
     share_step = 0.0 if start is end else 1.0 / config.rays
-    ends = [np.ascontiguousarray(poses, dtype=np.float64) for poses in (start, end)]
-    mask, scene, rays = (
-        np.ascontiguousarray(active),
-        Scene(footprint.body, arena.walls, arena.pillars),
-        scan_rays(config),
-    )
+    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
     in_parts(
-        lambda first, last: cast_moving_worlds(*ends, mask, scene, rays, errors, share_step, ranges, first, last),
+        lambda first, last: cast_moving_worlds(start, end, mask, scene, rays, errors, share_step, ranges, first, last),
         len(ranges), ranges.size, MOVING_RAYS_PER_THREAD,
     )  # fmt: skip
     return ranges

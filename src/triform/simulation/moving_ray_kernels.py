@@ -13,7 +13,7 @@ import numpy as np
 
 from triform.geometry.cells import pairs_within
 from triform.kernels import kernel
-from triform.simulation.ray_kernels import body_reach
+from triform.simulation.ray_kernels import body_reach, sight_reach
 
 
 class DueRays(NamedTuple):
@@ -108,13 +108,11 @@ def list_near(poses: Any, active: Any, distance: float) -> tuple[Any, Any]:
 
 @kernel(inline="always")
 def _nearest_along(
-    i: int, dx: float, dy: float, places: Any, first: int, last: int, near: Any, around: float, scene: Any
+    x: float, y: float, dx: float, dy: float, places: Any, first: int, last: int, near: Any, around: float, scene: Any
 ) -> float:
-    """Distance from robot ``i`` to the nearest obstacle in direction (dx, dy) [m]."""
+    """Distance from (x, y) to the nearest obstacle in direction (dx, dy) [m]."""
     nearest = math.inf
     (half_length, half_width, is_circle), walls, pillars = scene
-    x = places[i, 0]
-    y = places[i, 1]
     for k in range(first, last):
         j = near[k]
         ox = places[j, 0] - x
@@ -181,9 +179,12 @@ def cast_moving(
             angle = places[i, 2] + angle_min + k * increment
             if offsets.shape[1] > 0:
                 angle += offsets[i, k]
-            found = _nearest_along(
-                i, math.cos(angle), math.sin(angle), places, ends[i], ends[i + 1], others, around, scene
-            )
+            x, y = places[i, 0], places[i, 1]
+            if scan.x != 0.0 or scan.y != 0.0:
+                x += places[i, 3] * scan.x - places[i, 4] * scan.y
+                y += places[i, 4] * scan.x + places[i, 3] * scan.y
+            dx, dy = math.cos(angle), math.sin(angle)
+            found = _nearest_along(x, y, dx, dy, places, ends[i], ends[i + 1], others, around, scene)
             # As ``keep_nearest`` into an empty ray; rows of ``out`` are not taken, which costs in an inner loop.
             out[i, k] = math.inf if found > range_max else -math.inf if found < range_min else found
 
@@ -207,4 +208,4 @@ def cast_moving_worlds(
 @kernel
 def seen_within(body: Any, scan: Any, travel: float) -> float:
     """Distance of two centres [m] beyond which robots cannot see each other before both have gone ``travel`` [m]."""
-    return float((scan.range_max + body_reach(body) + 2 * travel) * (1 + 1e-9))
+    return float((sight_reach(scan, body) + 2 * travel) * (1 + 1e-9))

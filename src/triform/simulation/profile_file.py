@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from triform.simulation.mounting import Mounting
 from triform.simulation.profiles import Drive, Footprint, LidarConfig, NoiseBand, Profile
 from triform.simulation.tables import TomlTable, quoted
 from triform.types import ConfigurationError, ScanConfig
@@ -21,10 +22,14 @@ def read_profile(path: Path) -> Profile:
     """
     top = TomlTable.read(path)
     with _refusing(top):
-        values = _values(top, Profile(path.stem), "footprint", "lidar", "drive")
+        values = _values(top, Profile(path.stem), "footprint", "lidar", "drive", "mounting")
         footprint = Footprint.parse(top.text("footprint", "ep"))
         return Profile(
-            footprint=footprint, lidar=_lidar(top.table("lidar")), drive=_drive(top.table("drive")), **values
+            footprint=footprint,
+            lidar=_lidar(top.table("lidar")),
+            drive=_drive(top.table("drive")),
+            mounting=_mounting(top.table("mounting")),
+            **values,
         )
 
 
@@ -42,6 +47,13 @@ def _lidar(table: TomlTable) -> LidarConfig:
 def _drive(table: TomlTable) -> Drive:
     with _refusing(table):
         return Drive(**_values(table, Drive()))
+
+
+def _mounting(table: TomlTable) -> Mounting:
+    values = _values(table, Mounting(), "blind_sectors")
+    sectors = table.rows("blind_sectors", 2, "from, to [deg]")
+    with _refusing(table):
+        return Mounting(**values, blind_sectors=tuple((begin, end) for begin, end in sectors))
 
 
 def _simple(ideal: Any) -> dict[str, bool | float | str]:
@@ -77,7 +89,7 @@ def _refusing(table: TomlTable) -> Iterator[None]:
 
 def profile_toml(profile: Profile) -> str:
     """Return a profile as the text of a TOML file, with units, to start from."""
-    lidar, scan, drive = profile.lidar, profile.lidar.scan, profile.drive
+    lidar, scan, drive, mounting = profile.lidar, profile.lidar.scan, profile.drive, profile.mounting
     bands = ",\n".join(
         "    { " + ", ".join(f"{name} = {float(value)!r}" for name, value in asdict(band).items()) + " }"
         for band in lidar.noise
@@ -85,7 +97,7 @@ def profile_toml(profile: Profile) -> str:
     noise = f"[\n{bands},\n]" if bands else "[]"
     lines = [
         f"name = {quoted(profile.name)}",
-        f'footprint = "{profile.footprint.label}"  # circle:DIAMETER or box:LENGTHxWIDTH [m], centred on the LiDAR',
+        f'footprint = "{profile.footprint.label}"  # circle:DIAMETER or box:LENGTHxWIDTH [m], around its centre',
         f"control_period = {float(profile.control_period)!r}  # time between two commands [s]",
         f"latency = {float(profile.latency)!r}  # from a finished scan until a command can use it [s]",
         f"time_step = {float(profile.time_step)!r}  # longest integration step of the simulation [s]",
@@ -102,6 +114,14 @@ def profile_toml(profile: Profile) -> str:
         f"angle_noise = {float(lidar.angle_noise)!r}  # standard deviation of a ray's direction [rad]",
         "# Standard deviation of ranges up to a distance [m]: absolute [m] + relative x range; the last up to inf.",
         f"noise = {noise}",
+        "",
+        "[mounting]  # of the LiDAR on the base",
+        f"x = {float(mounting.x)!r}  # forward of the base's centre [m]",
+        f"y = {float(mounting.y)!r}  # left of it [m]",
+        f"yaw = {float(mounting.yaw)!r}  # direction of the LiDAR's own zero, counter-clockwise from the front [rad]",
+        f"upright = {str(mounting.upright).lower()}  # false if it hangs upside down",
+        f"blind_sectors = {[[float(each) for each in sector] for sector in mounting.blind_sectors]}"
+        "  # where only the robot itself is, [from, to] counter-clockwise from the front [deg]",
         "",
         "[drive]  # holonomic base; inf is no limit",
         f"max_speed = {float(drive.max_speed)!r}  # [m/s]",

@@ -45,7 +45,7 @@ class Scene(NamedTuple):
 
 
 class ScanRays(NamedTuple):
-    """The rays of a LiDAR and its limits of range.
+    """The rays of a LiDAR, its limits of range and its place on the base.
 
     Attributes:
         angle_min: Angle of the first ray in the robot's frame [rad].
@@ -53,6 +53,8 @@ class ScanRays(NamedTuple):
         range_max: Farther returns are ``+inf`` [m].
         cos: Cosine of every ray's angle, shape (R,).
         sin: Sine of every ray's angle, shape (R,).
+        x: Where rays begin, forward of the robot's centre [m].
+        y: Where rays begin, left of the robot's centre [m].
     """
 
     angle_min: float
@@ -60,6 +62,8 @@ class ScanRays(NamedTuple):
     range_max: float
     cos: Any
     sin: Any
+    x: float = 0.0
+    y: float = 0.0
 
 
 @kernel
@@ -68,6 +72,12 @@ def body_reach(body: Any) -> float:
     if body.is_circle:
         return float(body.half_length)
     return math.hypot(body.half_length, body.half_width)
+
+
+@kernel
+def sight_reach(scan: Any, body: Any) -> float:
+    """Distance of two centres beyond which one robot does not see the other [m]."""
+    return float(scan.range_max + body_reach(body) + math.hypot(scan.x, scan.y))
 
 
 @kernel
@@ -141,7 +151,7 @@ def _see_edge(
 @kernel
 def see_circle(x: float, y: float, radius: float, scan: Any, row: Any) -> None:
     """Cast at a circle whose centre is (x, y) in the observer's frame."""
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
+    angle_min, range_min, range_max, cos_rays, sin_rays, _, _ = scan
     squared = x * x + y * y
     if squared <= radius * radius:
         _cover_all(range_min, range_max, row)
@@ -163,7 +173,7 @@ def see_circle(x: float, y: float, radius: float, scan: Any, row: Any) -> None:
 def see_box(x: float, y: float, cos: float, sin: float, body: Any, scan: Any, row: Any) -> None:
     """Cast at a box whose centre is (x, y) in the observer's frame and whose axes are turned by (cos, sin)."""
     half_length, half_width, _ = body
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
+    angle_min, range_min, range_max, cos_rays, sin_rays, _, _ = scan
     observer_x = -(x * cos + y * sin)
     observer_y = -(y * cos - x * sin)
     before = int(observer_x > half_length) - int(observer_x < -half_length)
@@ -196,7 +206,7 @@ def see_box(x: float, y: float, cos: float, sin: float, body: Any, scan: Any, ro
 @kernel
 def see_wall(x1: float, y1: float, x2: float, y2: float, scan: Any, row: Any) -> None:
     """Cast at a wall given by its ends in the observer's frame, in either order."""
-    angle_min, range_min, range_max, cos_rays, sin_rays = scan
+    angle_min, range_min, range_max, cos_rays, sin_rays, _, _ = scan
     rays = row.shape[0]
     cross = x1 * y2 - y1 * x2
     if cross == 0.0:

@@ -5,16 +5,28 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from triform.simulation.lidar import angle_offsets, apply_noise
+from triform.simulation.mounting import Mounting, Placement
 from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
 from triform.simulation.odometry import halfway, relative_poses, resting_poses
 from triform.simulation.profiles import Profile
-from triform.types import BoolArray, FloatArray, IntArray, PrivilegedView, RangeArray, Scan, TriformError, require
+from triform.types import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    PrivilegedView,
+    RangeArray,
+    Scan,
+    TriformError,
+    converted,
+    require,
+)
 
 Floating = TypeVar("Floating", bound=np.floating[Any])
 
@@ -58,6 +70,9 @@ class SensorSuite:
         """
         lidar = profile.lidar
         self._profile = profile
+        # What is measured reaches as far from the LiDAR as a view does from the base.
+        self._measured = replace(lidar, scan=profile.from_lidar)
+        self._placement = None if profile.mounting == Mounting() else Placement(lidar.scan, profile.mounting)
         self._noisy = bool(lidar.noise) or lidar.angle_noise > 0 or lidar.dropout > 0
         self._seeds = _sequences(seeds, len(poses), self._noisy)
         self._rngs: dict[tuple[int, int], np.random.Generator] = {}
@@ -134,13 +149,16 @@ class SensorSuite:
         """Finish a scan at the beginning of the running turn: of a LiDAR that measures all rays at once.
 
         Args:
-            ranges: What was measured, without errors of range [m], shape (B, N, R); errors are put in.
+            ranges: What was measured from where the LiDAR is, without errors of range [m], shape (B, N, R); errors are
+                put in, and a mounting off the centre or with blind sectors is allowed for.
             poses: Poses at this moment, shape (B, N, 3).
             active: Which robots exist, shape (B, N).
         """
         if self._noisy:
             for b, i in np.argwhere(active):
-                ranges[b, i] = apply_noise(ranges[b, i], self._profile.lidar, self._rng(b, i))
+                ranges[b, i] = apply_noise(ranges[b, i], self._measured, self._rng(b, i))
+        if self._placement is not None:
+            ranges[active] = self._placement.from_base(self._placement.masked(ranges[active]))
         shown = halfway(self._turn_start, poses, active) if self._profile.lidar.rolling else poses.copy()
         self._finished.append((self._turn * self._profile.lidar.period, ranges, shown))
 
@@ -248,4 +266,7 @@ def _sequences(
         require(not needed, "the profile has random errors; one seed for every world is needed")
         return []
     require(len(seeds) == worlds, f"{len(seeds)} seeds given for {worlds} worlds; one for each is needed")
+    for seed in seeds:
+        fits = isinstance(seed, np.random.SeedSequence) or converted("seed", seed, int) >= 0
+        require(fits, f"seed is {seed}; it must not be negative")
     return [seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed) for seed in seeds]

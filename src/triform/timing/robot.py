@@ -20,9 +20,10 @@ from triform.evaluation.scenario import Scenario
 from triform.limits import LARGEST_SEED, require_at_most
 from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_file, write_json
+from triform.threads import usable_threads
 from triform.timing.robot_step import Job, save_moments
 from triform.timing.step_time import record_views, single_views
-from triform.types import TriformError, require
+from triform.types import TriformError, convert_fields, require
 
 _PACKAGES = ("triform", "numpy", "numba", "llvmlite", "onnxruntime", "pyserial")
 #: Read by the libraries below us; a policy runs on one thread whatever they say.
@@ -63,6 +64,7 @@ class BenchConfig:
     json: Path | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(
             self.controller.name == "policy",
             f"controller is {self.controller.label!r}; the bench times a policy, such as policy or policy:paper",
@@ -163,7 +165,7 @@ def describe_machine() -> dict[str, Any]:
         "architecture": platform.machine(),
         "system": f"{platform.system()} {platform.release()}",
         "processors": os.cpu_count(),
-        "processors_usable": len(os.sched_getaffinity(0)),
+        "processors_usable": usable_threads(),
         "threads": 1,
         "environment": {name: os.environ[name] for name in _VARIABLES if name in os.environ},
         "python": platform.python_version(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from triform.control import EXPERTS, ControllerSpec, Triangulating, TriangulatingLaw, drive, weights_folder
+from triform.decode import decode_json
 from triform.evaluation.scenario import Scenario
-from triform.policy.checkpoint import WEIGHTS_FILE
+from triform.policy.checkpoint import read_weights
 from triform.simulation import world_seeds
 from triform.threads import limit_threads
 from triform.types import Controller, FloatArray, PrivilegedView, TriformError
@@ -94,14 +94,13 @@ def count_parameters(folder: Path) -> int:
     Raises:
         TriformError: If they cannot be read.
     """
-    path = folder / WEIGHTS_FILE
+    weights = read_weights(folder)[1]
     try:
         # A safetensors file begins with the length of its header, 8 bytes, little endian, and the header in JSON.
-        with path.open("rb") as file:
-            header = json.loads(file.read(int.from_bytes(file.read(8), "little")))
+        header = decode_json(weights[8 : 8 + int.from_bytes(weights[:8], "little")], f"the weights in {folder}")
         return sum(prod(tensor["shape"]) for name, tensor in header.items() if name != "__metadata__")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise TriformError(f"cannot read the weights {path}: {error}") from error
+    except (KeyError, TypeError, AttributeError) as error:
+        raise TriformError(f"cannot read the weights in {folder}: {error}") from error
 
 
 def network_size(controller: ControllerSpec) -> int | None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from triform.robots.gazebo.sdf import braked
+from triform.robots.chassis import braked
 from triform.robots.gazebo.server import GazeboServer, State
 from triform.simulation.sensors import SensorSuite
 from triform.types import BoolArray, FloatArray, PrivilegedView, TriformError, require
@@ -43,8 +43,8 @@ class GazeboTeam:
             seeds: One seed; may be left out if the profile has no random errors.
 
         Raises:
-            ConfigurationError: If there is more than one world, the profile has errors of ray angles, which Gazebo's
-                LiDAR cannot have, or a seed is missing.
+            ConfigurationError: If there is more than one world, the profile has errors of ray angles or a LiDAR off the
+                robot's centre, which Gazebo's cannot have, or a seed is missing.
             TriformError: If Gazebo fails or a pose is not finite.
         """
         placed = np.array(poses, dtype=np.float64)
@@ -54,6 +54,9 @@ class GazeboTeam:
         )
         profile = server.profile
         require(profile.lidar.angle_noise == 0, "the rays of Gazebo's LiDAR keep their angles; angle_noise must be 0")
+        require(
+            profile.mounting.offset == 0, "Gazebo's LiDAR is at the robot's centre; the mounting's x and y must be 0"
+        )
         self._server = server
         self.profile, self.arena, self.control_period = profile, server.arena, profile.control_period
         self.time = 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tty
 from pathlib import Path
 from types import TracebackType
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from triform.robots.ldrobot.models import LidarModel
 from triform.robots.ldrobot.packets import CLOCK_WRAP, FULL_TURN, PACKET, SAMPLES, encode_packets, sample_angles
+from triform.simulation.mounting import Mounting
 from triform.types import FloatArray, RangeArray, TriformError, require
 
 #: Standard deviation of the speed around the usual one, as a share, and how much of it lasts until the next packet.
@@ -29,7 +29,7 @@ class LidarEmulator:
     """
 
     def __init__(
-        self, model: LidarModel, rng: np.random.Generator, link: Path | None = None, mounting: float = 0.0
+        self, model: LidarModel, rng: np.random.Generator, link: Path | None = None, mounting: Mounting | None = None
     ) -> None:
         """Open a pseudo-terminal.
 
@@ -37,16 +37,17 @@ class LidarEmulator:
             model: The LiDAR.
             rng: Source of the first angle and time, and of changes of speed and intensity.
             link: Where a link to the pseudo-terminal is put, for a name that stays the same; an older link is replaced.
-            mounting: Direction of the LiDAR's own zero in the robot's frame, counter-clockwise [rad].
+            mounting: How the LiDAR is mounted; upright, its zero forward, if ``None``.
 
         Raises:
-            ConfigurationError: If ``mounting`` is not finite.
             TriformError: If there is no pseudo-terminal, or the link cannot be made.
         """
-        require(math.isfinite(mounting), f"mounting is {mounting} rad; it must be finite")
-        self._model, self._rng, self._mounting = model, rng, mounting
+        self._model, self._rng, self._mounting = model, rng, mounting or Mounting()
         try:
             # The other end stays open here too, so that readers may come and go.
+            # Windows has neither pseudo-terminals nor this module.
+            import tty
+
             self._ends: tuple[int, ...] = os.openpty()
         except OSError as error:
             raise TriformError(f"cannot open a pseudo-terminal: {error.strerror}") from error
@@ -99,7 +100,8 @@ class LidarEmulator:
         self._turn_on(math.ceil((done - self._sent) / SAMPLES) - len(self._packets))
         angles = sample_angles(self._packets)
         first, self._issued = self._issued, done
-        return self._mounting - np.radians(angles[first - self._sent : done - self._sent])
+        own = np.radians(angles[first - self._sent : done - self._sent])
+        return np.asarray(self._mounting.yaw - self._mounting.direction * own)
 
     def _turn_on(self, count: int) -> None:
         """Make the next ``count`` packets, without their samples."""

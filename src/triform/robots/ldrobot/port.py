@@ -13,6 +13,7 @@ from triform.robots.laser_scan import Turn
 from triform.robots.ldrobot.models import LidarModel
 from triform.robots.ldrobot.packets import BAUD, LINE_RATE, PacketParser
 from triform.robots.ldrobot.turns import LONGEST_GAP, TurnAssembler
+from triform.simulation.mounting import Mounting
 from triform.types import ScanConfig, TriformError
 
 #: A LiDAR that is silent for longer is lost [s].
@@ -41,7 +42,7 @@ class LidarPort:
     """
 
     def __init__(
-        self, path: str | Path, model: LidarModel, scan: ScanConfig | None = None, mounting: float = 0.0
+        self, path: str | Path, model: LidarModel, scan: ScanConfig | None = None, mounting: Mounting | None = None
     ) -> None:
         """Open a port and begin to read. Needs the extra ``robot``.
 
@@ -49,11 +50,10 @@ class LidarPort:
             path: The serial port, such as ``/dev/ttyUSB0``.
             model: The LiDAR.
             scan: Rays and limits of range; those of the model if ``None``.
-            mounting: Direction of the LiDAR's own zero in the robot's frame, counter-clockwise [rad].
+            mounting: How the LiDAR is mounted, see ``TurnAssembler``.
 
         Raises:
             LidarError: If the port cannot be opened, or another program reads it.
-            ConfigurationError: If ``mounting`` is not finite.
         """
         import serial
 

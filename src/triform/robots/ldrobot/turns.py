@@ -1,7 +1,8 @@
 """From packets to turns: scans on a fixed grid of rays, with times of the host's clock.
 
-A LiDAR turns clockwise, its turns differ in length, and packets get lost. Here, and nowhere else, its samples become
-rays that count counter-clockwise from ``angle_min`` and are equally many in every turn: what follows needs that.
+A LiDAR turns clockwise, or counter-clockwise if it hangs upside down; its turns differ in length, and packets get lost.
+Here, and nowhere else, its samples become rays that count counter-clockwise from ``angle_min`` and are equally many in
+every turn: what follows needs that.
 
 A turn ends where the LiDAR passes the gap between the last ray and the first, which by default is behind the robot.
 
@@ -27,7 +28,8 @@ from triform.kernels import kernel
 from triform.robots.laser_scan import Turn
 from triform.robots.ldrobot.models import LidarModel
 from triform.robots.ldrobot.packets import CLOCK_WRAP, LINE_RATE, PACKET_BYTES, SAMPLES, Packets, sample_angles
-from triform.types import FloatArray, IntArray, ScanConfig, require
+from triform.simulation.mounting import Mounting
+from triform.types import FloatArray, IntArray, ScanConfig
 
 #: How far a ray looks for its sample [spacings of rays or of samples, whichever is wider]. Half a spacing is the least
 #: at the usual speed; this also bridges the wider spacing of a LiDAR that turns half as fast again.
@@ -44,16 +46,17 @@ _WIRE_TIME = PACKET_BYTES / LINE_RATE
 
 @kernel
 def _enter_into(places: Any, ranges: Any, reach: float, apart: Any, row: Any) -> None:
-    """Enter samples at ``places`` [spacings after the gap, clockwise] into the rays ``row`` that they are nearest to.
+    """Enter samples at ``places`` [spacings after the gap] into the rays ``row`` that they are nearest to.
 
-    ``apart`` holds how far from each ray the sample is that it has [spacings].
+    Rays are in the order in which the LiDAR passes them; ``apart`` holds how far from each ray the sample is that it
+    has [spacings].
     """
     rays = row.shape[0]
     for k in range(places.shape[0]):
         centre = places[k] - 0.5
         for ray in range(math.ceil(centre - reach), math.floor(centre + reach) + 1):
             distance = abs(centre - ray)
-            slot = rays - 1 - ray % rays
+            slot = ray % rays
             if distance < apart[slot] or (distance == apart[slot] and ranges[k] < row[slot]):
                 apart[slot] = distance
                 row[slot] = ranges[k]
@@ -62,22 +65,23 @@ def _enter_into(places: Any, ranges: Any, reach: float, apart: Any, row: Any) ->
 class TurnAssembler:
     """Collects packets until a turn is complete; the one in which it begins, which lacks a part, is dropped."""
 
-    def __init__(self, model: LidarModel, scan: ScanConfig | None = None, mounting: float = 0.0) -> None:
+    def __init__(self, model: LidarModel, scan: ScanConfig | None = None, mounting: Mounting | None = None) -> None:
         """Begin with no packet.
 
         Args:
             model: The LiDAR.
             scan: Rays and limits of range; those of the model if ``None``.
-            mounting: Direction of the LiDAR's own zero in the robot's frame, counter-clockwise [rad].
-
-        Raises:
-            ConfigurationError: If ``mounting`` is not finite.
+            mounting: How the LiDAR is mounted; upright, its zero forward, if ``None``. Rays have the directions of the
+                base's frame and begin at the LiDAR.
         """
-        require(math.isfinite(mounting), f"mounting is {mounting} rad; it must be finite")
+        mounting = mounting or Mounting()
         self.scan = model.scan_config() if scan is None else scan
         rays = self.scan.rays
         self._reach = REACH * max(1.0, rays / model.rays)
-        self._zero = (self.scan.angle_min - mounting) / self.scan.angle_increment - 0.5
+        # Upright it turns clockwise, and the rays are entered from the last to the first.
+        self._entered = -mounting.direction
+        self._zero = -self._entered * (self.scan.angle_min - mounting.yaw) / self.scan.angle_increment
+        self._zero += 0.5 * self._entered
         self._rays_per_degree = rays / 360
         self._lags = np.arange(SAMPLES)[::-1] / model.samples_per_second
         self._row = np.empty(rays, dtype=np.float32)
@@ -158,7 +162,7 @@ class TurnAssembler:
 
     def _finish(self) -> list[Turn]:
         """End a turn; return it if it is worth it."""
-        turn = Turn(self._row.copy(), self._first + self._offset, self._last + self._offset)
+        turn = Turn(self._row[:: self._entered].copy(), self._first + self._offset, self._last + self._offset)
         worth = self._whole and (~np.isnan(turn.ranges)).mean() >= LEAST_MEASURED
         self._begin_turn(whole=True)
         return [turn] if worth else []

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import select
 import socket
 import threading
 import time
 from collections import deque
+from typing import Any
 
 import numpy as np
 
 from triform.robots.robomaster import protocol
+from triform.robots.robomaster.commands import COMMANDS, MODES, QUERIES, SWITCH, Equipment, ParseError, spaced
 from triform.robots.robomaster.watchdog import OK
 from triform.types import FloatArray
 
@@ -18,22 +21,29 @@ from triform.types import FloatArray
 _LOOK = 0.01
 #: Rate of a push that is switched on without one [Hz].
 _DEFAULT_RATE = 5
+#: Speeds of ``chassis move`` without them [m/s, deg/s]; the page names none.
+_MOVE_SPEED, _MOVE_TURN = 0.5, 30.0
 #: How long telemetry goes on by itself [s].
 _TOLD_FOR = 0.2
 _FORMAT_ERROR = "command format error: command parse error"
-_MODES = ("chassis_lead", "gimbal_lead", "free")
+_REFUSED = "fail"
+#: Attributes of the chassis that are pushed, and what their rates are called.
+_PUSHES = {"position": "pfreq", "attitude": "afreq", "status": "sfreq"}
 
 
 class RoboMasterEmulator:
-    """One robot on an address of this computer.
+    """One robot on an address of this computer, which speaks all of the documented protocol.
 
     As the real one, it says nothing before ``command;``, stops its wheels when its driver disconnects, and pushes its
-    telemetry to the address from which it is driven. Unlike the real one, it hangs up on a second driver.
+    telemetry to the address from which it is driven. Unlike the real one, it hangs up on a second driver, broadcasts
+    no address, and nothing ever hits or applauds it. What is no chassis moves at once.
 
     Attributes:
         address: Where it listens.
         control_port: TCP port of its commands.
         reply_delay: Time that it takes to answer [s].
+        end: What ends its answers; nothing in old firmware.
+        pieces: Whether its answers come byte by byte.
         silent: Whether it answers no command, though it obeys.
         error: What it answers to everything, without obeying; nothing special if empty.
         mode: How chassis and gimbal hang together.
@@ -61,7 +71,9 @@ class RoboMasterEmulator:
         self._pushes.bind((address, 0))
         self.address, self.control_port = self._listener.getsockname()
         self.reply_delay, self.silent, self.error = 0.0, False, ""
-        self.mode, self.battery = _MODES[0], 100
+        self.end, self.pieces = ";", False
+        self.mode, self.battery = MODES[0], 100
+        self._equipment = Equipment()
         self._told = (time.monotonic(), np.zeros(3), np.zeros(3))
         self._driver: socket.socket | None = None
         self._text = b""
@@ -80,7 +92,8 @@ class RoboMasterEmulator:
     @property
     def command(self) -> FloatArray:
         """What the wheels are told now: a body twist in REP 103, shape (3,) [m/s, m/s, rad/s]."""
-        return self._command.copy()
+        now = time.monotonic()
+        return next((twist.copy() for until, twist in self._plan if now < until), np.zeros(3))
 
     def tell(self, pose: FloatArray, twist: FloatArray) -> None:
         """Say where the robot is and how it moves now; its telemetry goes on from there.
@@ -140,7 +153,7 @@ class RoboMasterEmulator:
     def _leave(self) -> None:
         """Leave SDK mode: the wheels stop, and no telemetry is pushed."""
         self.driven = False
-        self._command = np.zeros(3)
+        self._plan: list[tuple[float, FloatArray]] = []
         self._rates: dict[str, int] = {}
         self._due: dict[str, float] = {}
 
@@ -156,7 +169,10 @@ class RoboMasterEmulator:
 
     def _answer(self) -> None:
         while self._driver is not None and self._answers and self._answers[0][0] <= time.monotonic():
-            self._driver.sendall(f"{self._answers.popleft()[1]};".encode())
+            data = f"{self._answers.popleft()[1]}{self.end}".encode()
+            for piece in [bytes([byte]) for byte in data] if self.pieces else [data]:
+                self._driver.sendall(piece)
+                time.sleep(0.001 * self.pieces)
 
     def _obey(self, words: list[str]) -> str:
         """Follow a command and return the answer, which is empty for what the robot leaves unanswered."""
@@ -166,51 +182,108 @@ class RoboMasterEmulator:
             return answer
         if not self.driven:
             return ""
-        match words:
-            case ["quit"]:
-                self._leave()
-                return OK
-            case ["robot", "battery", "?"]:
-                return f"{self.battery} "
-            case ["robot", "mode", mode] if mode in _MODES:
-                self.mode = mode
-                return OK
-            case ["chassis", "speed", "x", x, "y", y, "z", z]:
-                limits = np.array([protocol.MAX_SPEED, protocol.MAX_SPEED, np.degrees(protocol.MAX_TURN_RATE)])
-                return self._move([x, y, z], limits)
-            case ["chassis", "wheel", "w1", w1, "w2", w2, "w3", w3, "w4", w4]:
-                return self._move([w1, w2, w3, w4], np.full(4, protocol.MAX_WHEEL_RATE))
-            case ["chassis", "push", *settings]:
-                return self._switch(settings)
-        return _FORMAT_ERROR
-
-    def _move(self, words: list[str], limits: FloatArray) -> str:
+        name, rest = " ".join(words[:2]), words[2:]
         try:
-            values = np.array([float(word) for word in words])
+            if name == "chassis push":
+                return self._switch(rest)
+            if words[-1] == "?":
+                return self._tell_of(name, QUERIES[name].read(rest[:-1]))
+            if name == "sensor_adapter pulse_period":
+                return self._tell_of(name, QUERIES[name].read(rest))
+            if name.startswith("robotic_gripper ") and len(rest) == 1:
+                # The page's grammar names this argument, and its example does not.
+                rest = ["leve", *rest]
+            return self._follow(name, COMMANDS[name].read(rest))
+        except (KeyError, ParseError):
+            return _FORMAT_ERROR
         except ValueError:
-            return "fail"
-        if not (np.abs(values) <= limits + 1e-9).all():
-            return "fail"
-        self._command = protocol.twist_of_speeds(*values) if len(values) == 3 else protocol.twist_of_wheels(values)
+            return _REFUSED
+
+    def _follow(self, command: str, given: dict[str, Any]) -> str:
+        """Follow a command whose arguments are right."""
+        match command:
+            case "quit":
+                self._leave()
+            case "robot mode":
+                self.mode = given["0"]
+            case "chassis speed":
+                self._plan = [(math.inf, protocol.twist_of_speeds(given["x"], given["y"], given["z"]))]
+            case "chassis wheel":
+                rates = np.array([given[f"w{wheel}"] for wheel in range(1, 5)])
+                self._plan = [(math.inf, protocol.twist_of_wheels(rates))]
+            case "chassis move":
+                self._plan_move(**given)
+            case "gimbal push":
+                self._set_rate("gimbal", given["attitude"] == "on", int(given.get("afreq", _DEFAULT_RATE)))
+            case _:
+                self._equipment.obey(command, given)
         return OK
+
+    def _plan_move(
+        self, x: float = 0.0, y: float = 0.0, z: float = 0.0, vxy: float = _MOVE_SPEED, vz: float = _MOVE_TURN
+    ) -> None:
+        """Go to a place as seen from here, then turn; ``z`` is counter-clockwise here, unlike that of speeds."""
+        way, turn = math.hypot(x, y), math.radians(z)
+        there = time.monotonic() + way / vxy
+        ahead = protocol.ROBOT_SIGNS * [x, y, 0.0] / max(way, 1e-9) * vxy
+        turning = np.array([0.0, 0.0, math.copysign(math.radians(vz), turn)])
+        self._plan = [(there, ahead), (there + abs(z) / vz, turning)]
+
+    def _tell_of(self, query: str, given: dict[str, Any]) -> str:
+        """Answer a query whose arguments are right."""
+        pose, twist = self._now()
+        state = protocol.chassis_state(pose, still=not twist.any())
+        match query:
+            case "robot mode":
+                return self.mode
+            case "robot battery":
+                return f"{self.battery} "
+            case "chassis speed":
+                speeds, rates = protocol.speeds_of_twist(twist)
+                return f"{spaced(speeds)} {' '.join(map(str, rates))}"
+            case "chassis position":
+                return " ".join([*state["position"], state["attitude"][2]])
+            case "chassis attitude" | "chassis status":
+                return " ".join(state[query.split()[1]])
+        return self._equipment.answer(query, given)
 
     def _switch(self, words: list[str]) -> str:
-        """Switch pushes on or off, such as ``position on pfreq 20 attitude off``."""
+        """Switch pushes on or off, such as ``position on pfreq 20 attitude off`` or ``freq 10`` for all that are on."""
+        words = list(words)
+        for attribute in _PUSHES:
+            # The page also has ``position pfreq 1 freq 5``.
+            if attribute in words[:-1] and words[words.index(attribute) + 1].endswith("freq"):
+                words.insert(words.index(attribute) + 1, "on")
         settings = dict(zip(words[::2], words[1::2], strict=False))
-        allowed = {"position", "pfreq", "attitude", "afreq"}
-        if len(words) != 2 * len(settings) or not settings or not settings.keys() <= allowed:
-            return "fail"
-        rates = self._rates.copy()
-        for name in ("position", "attitude"):
-            switch, rate = settings.get(name), settings.get(f"{name[0]}freq", str(_DEFAULT_RATE))
-            if switch not in (None, "on", "off") or rate not in map(str, protocol.PUSH_RATES):
-                return "fail"
-            if switch == "on":
-                rates[name] = int(rate)
-            elif switch == "off":
-                rates.pop(name, None)
-        self._rates, self._due = rates, dict.fromkeys(rates, time.monotonic())
+        rates = {name: settings.get(name) for name in (*_PUSHES.values(), "freq")}
+        switches = {name: settings.get(name) for name in _PUSHES}
+        if (
+            len(words) != 2 * len(settings)
+            or not settings
+            or not settings.keys() <= rates.keys() | switches.keys()
+            or not {*rates.values()} <= {None, *map(str, protocol.PUSH_RATES)}
+            or not {*switches.values()} <= {None, *SWITCH}
+        ):
+            return _REFUSED
+        for name, switch in switches.items():
+            rate = rates["freq"] or rates[_PUSHES[name]]
+            if switch is not None or (rate and name in self._rates):
+                self._set_rate(name, switch != "off", int(rate or self._rates.get(name, _DEFAULT_RATE)))
         return OK
+
+    def _set_rate(self, name: str, on: bool, rate: int) -> None:
+        self._rates.pop(name, None)
+        self._due.pop(name, None)
+        if on:
+            self._rates[name], self._due[name] = rate, time.monotonic()
+
+    def _now(self) -> tuple[FloatArray, FloatArray]:
+        """Pose and twist of what was told last; the motion goes on for a moment."""
+        told, pose, twist = self._told
+        u_x, u_y, omega = twist
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        way = np.array([cos * u_x - sin * u_y, sin * u_x + cos * u_y, omega])
+        return pose + min(time.monotonic() - told, _TOLD_FOR) * way, twist
 
     def _push(self) -> None:
         now = time.monotonic()
@@ -219,8 +292,11 @@ class RoboMasterEmulator:
             return
         for name in due:
             self._due[name] = max(now, self._due[name] + 1 / self._rates[name])
-        told, pose, (u_x, u_y, omega) = self._told
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
-        pose = pose + min(now - told, _TOLD_FOR) * np.array([cos * u_x - sin * u_y, sin * u_x + cos * u_y, omega])
-        text = protocol.pushed(pose, due)
-        self._pushes.sendto(text.encode(), (self._driver.getpeername()[0], protocol.PUSH_PORT))
+        pose, twist = self._now()
+        state = protocol.chassis_state(pose, still=not twist.any())
+        parts = [" ".join([name, *state[name]]) for name in _PUSHES if name in due]
+        pushes = [f"chassis push {' ; '.join(parts)} ;"] * bool(parts)
+        if "gimbal" in due:
+            pushes.append(f"gimbal push attitude {spaced(self._equipment.gimbal)} ;")
+        for text in pushes:
+            self._pushes.sendto(text.encode(), (self._driver.getpeername()[0], protocol.PUSH_PORT))

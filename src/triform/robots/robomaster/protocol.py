@@ -59,17 +59,25 @@ def twist_of_wheels(rates: FloatArray) -> FloatArray:
     return np.asarray(speeds @ _WHEELS / 4 / [1.0, 1.0, _HALF_AXES])
 
 
-def pushed(pose: FloatArray, names: list[str]) -> str:
-    """What the robot pushes at a pose of REP 103, shape (3,) [m, m, rad].
+def speeds_of_twist(twist: FloatArray) -> tuple[list[float], list[int]]:
+    """The robot's speeds (x, y, z) [m/s, m/s, deg/s] and those of its wheels w1 to w4 [rpm], of a twist of REP 103."""
+    x, y, z = ROBOT_SIGNS * twist
+    rates = _WHEELS @ (twist * [1.0, 1.0, _HALF_AXES]) / (2 * math.pi / 60 * _WHEEL_RADIUS)
+    # Adding zero turns a negative zero into zero.
+    return [float(x) + 0.0, float(y) + 0.0, math.degrees(z) + 0.0], [round(rate) for rate in rates]
+
+
+def chassis_state(pose: FloatArray, still: bool) -> dict[str, list[str]]:
+    """What the robot says about its chassis: ``position``, ``attitude`` and ``status``, each as words.
 
     Args:
-        pose: The pose of the robot.
-        names: ``position``, ``attitude`` or both, in this order.
+        pose: Pose of REP 103, shape (3,) [m, m, rad].
+        still: Whether the robot stands, the only state that is told of one on an even floor.
     """
     x, y, yaw = ROBOT_SIGNS * pose
     numbers = {"position": (x, y), "attitude": (0.0, 0.0, math.degrees(yaw))}
-    parts = (" ".join([name, *(f"{number:.3f}" for number in numbers[name])]) for name in names)
-    return "chassis push " + " ; ".join(parts) + " ;"
+    words = {name: [f"{number + 0.0:.3f}" for number in each] for name, each in numbers.items()}
+    return {**words, "status": [str(int(still)), *["0"] * 10]}
 
 
 def read_pushed(text: str) -> Iterator[tuple[str, FloatArray]]:

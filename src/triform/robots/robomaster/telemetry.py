@@ -19,18 +19,20 @@ _LOOK = 0.05
 class Telemetry:
     """Reads the pushes of one robot in a thread of its own."""
 
-    def __init__(self, local_address: str, port: int, robot: str) -> None:
+    def __init__(self, local_address: str, port: int, robot: str, max_speed: float, max_turn_rate: float) -> None:
         """Listen for pushes.
 
         Args:
             local_address: Address of this computer that the robot knows.
             port: UDP port of the pushes.
             robot: The robot's address; pushes from elsewhere are passed over.
+            max_speed: Largest speed that the wheels are given [m/s].
+            max_turn_rate: Largest turn rate that they are given [rad/s].
 
         Raises:
             RoboMasterError: Another program reads pushes at this address.
         """
-        self._tracks = {"position": Track(), "attitude": Track(angle=True)}
+        self._tracks = {"position": Track([max_speed] * 2), "attitude": Track([max_turn_rate], angle=True)}
         self._closing = threading.Event()
         self._robot = robot
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
