@@ -282,8 +282,9 @@ def _check_address(address: str) -> None:
             return
         # Ray speaks gRPC, that is HTTP/2 (RFC 9113, 3.4): both sides begin with their settings, a frame of type 4.
         server.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
-        if server.recv(9)[3:4] != b"\x04":
-            raise OSError("what answers there is not Ray")
+        with server.makefile("rb") as answer:
+            if answer.read(9)[3:4] != b"\x04":
+                raise OSError("what answers there is not Ray")
 
 
 def _first_line(error: BaseException) -> str:

@@ -70,7 +70,8 @@ def approach(gap: float, limit: float, lag: float, duration: float) -> tuple[flo
     Returns:
         The error at the end and its mean over ``duration``, both divided by ``gap``.
     """
-    if gap == 0.0 or (limit == math.inf and lag == 0.0):
+    # Of a gap next to nothing, the product is zero, which must not divide.
+    if gap * duration == 0.0 or (limit == math.inf and lag == 0.0):
         return 0.0, 0.0
     left = gap
     area = 0.0
