@@ -15,7 +15,7 @@ from triform.evaluation.scenario import Scenario
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.robots.chassis import MAX_ACCELERATION
 from triform.robots.gazebo import GazeboServer, GazeboTeam, Installation
-from triform.simulation import HARDWARE, IDEAL, Arena, World, sample_starts
+from triform.simulation import HARDWARE, IDEAL, Arena, Mounting, World, sample_starts
 from triform.types import ConfigurationError, TriformError
 
 ROBOTS = 5
@@ -137,8 +137,10 @@ def test_wrong_use_is_refused_in_a_sentence(gazebo):
             with pytest.raises(TriformError, match="no world 1"):
                 change()
     turning = replace(IDEAL, lidar=replace(IDEAL.lidar, angle_noise=0.01))
-    with GazeboServer(turning, OPEN, 1) as server, pytest.raises(ConfigurationError, match="angle"):
-        GazeboTeam(server, np.zeros((1, 1, 3)), SEEDS)
+    aside = replace(IDEAL, mounting=Mounting(x=0.1))
+    for profile, told in ((turning, "angle"), (aside, "at the robot's centre")):
+        with GazeboServer(profile, OPEN, 1) as server, pytest.raises(ConfigurationError, match=told):
+            GazeboTeam(server, np.zeros((1, 1, 3)), SEEDS)
 
 
 @pytest.mark.parametrize("drive", ["planar", "mecanum"])

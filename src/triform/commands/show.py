@@ -14,7 +14,7 @@ from triform.control.user import installed_controllers
 from triform.policy import describe_network, read_spec
 from triform.simulation import ARENAS, PROFILES, arena_toml, get_arena, get_profile, profile_toml
 from triform.timing.step_time import count_parameters, what_it_sees
-from triform.types import require
+from triform.types import convert_fields, require
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Show:
     name: Annotated[str | None, tyro.conf.Positional] = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(
             self.name is None or self.what in ("profile", "arena"),
             f"name is {self.name!r}, but {self.what} are only listed",

@@ -31,7 +31,7 @@ import numpy as np
 from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint, ray_directions
 from triform.control.safety_kernels import SafetyRules, filter_robots
 from triform.threads import in_parts
-from triform.types import Controller, FloatArray, ViewIn, require
+from triform.types import Controller, FloatArray, ViewIn, convert_fields, require
 
 #: Robots whose scans keep a thread busy for a few milliseconds.
 ROBOTS_PER_THREAD = 4000
@@ -77,6 +77,7 @@ class SafetySettings:
     max_axis_speed: float = math.inf
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         kernel_footprint(self.footprint)
         require(0 <= self.min_gap < math.inf, f"min_gap is {self.min_gap} m; it must be finite and not negative")
         require(0 < self.reaction < math.inf, f"reaction is {self.reaction} s; it must be positive and finite")

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from triform.simulation import Drive, Footprint, LidarConfig, Profile, constant_noise
-from triform.types import SENSING_RANGE, require
+from triform.types import SENSING_RANGE, convert_fields, require
 
 Settings = TypeVar("Settings", LidarConfig, Drive, Profile)
 
@@ -44,6 +44,7 @@ class Overrides:
     odometry: bool = True
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         noise, dropout, rate = self.range_noise, self.dropout, self.scan_rate
         latency, speed = self.latency, self.speed_limit
         require(noise is None or 0 <= noise < np.inf, f"range_noise is {noise} m; it must be finite and not negative")

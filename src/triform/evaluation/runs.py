@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import TypeVar
 
 from triform.engines import Engine, EngineName, Report, Task, check_engine, open_engine
-from triform.types import require
+from triform.types import convert_fields, require
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -34,6 +34,7 @@ class Execution:
     ray_address: str | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
         check_engine(self.engine, self.ray_address)
 

@@ -33,7 +33,16 @@ from triform.simulation import (
     sample_starts,
     world_seeds,
 )
-from triform.types import SENSING_RANGE, BoolArray, ConfigurationError, Controller, FloatArray, IntArray, require
+from triform.types import (
+    SENSING_RANGE,
+    BoolArray,
+    ConfigurationError,
+    Controller,
+    FloatArray,
+    IntArray,
+    convert_fields,
+    require,
+)
 
 SimulatorName = Literal["builtin", "mujoco", "gazebo"]
 SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "mujoco", "gazebo")
@@ -70,6 +79,7 @@ class Scenario:
     overrides: Overrides = field(default_factory=Overrides)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         farthest = LIDAR_REACH / SENSING_RANGE
         require(
             0 < self.distance <= farthest,

@@ -22,7 +22,7 @@ from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
 from triform.report.tables import drop_columns
 from triform.simulation.noise import exploration_noise
-from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError
+from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError, convert_fields
 
 #: Name of all files.
 _NAME = "ablation"
@@ -147,6 +147,7 @@ class AblateConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_teams(self.robots, self.runs, self.seed, least=3)
 
     @property

@@ -17,7 +17,7 @@ from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
 from triform.report.tables import drop_columns
 from triform.timing.step_time import TEAM, network_size, record_views, step_times, what_it_sees
-from triform.types import require
+from triform.types import convert_fields, require
 
 #: Name of all files.
 _NAME = "compare"
@@ -66,6 +66,7 @@ class CompareConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(len(self.controllers) > 0, "controllers is empty; at least one controller is needed")
         labels = [controller.label for controller in self.contestants]
         for label in labels:

@@ -26,7 +26,7 @@ from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
 from triform.report.tables import drop_columns, format_value
 from triform.simulation import ARENAS, FOOTPRINTS, Footprint
-from triform.types import BoolArray, require
+from triform.types import BoolArray, convert_fields, require
 
 Condition = Literal[
     "range-noise", "dropped-rays", "scan-rate", "latency", "speed", "acceleration", "lag", "footprint", "arena",
@@ -113,6 +113,7 @@ class ConditionsConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(len(self.which) > 0, "which is empty; at least one condition is needed")
         for condition in self.which:
             require(condition in CONDITIONS, f"there is no condition {condition!r}; there are {', '.join(CONDITIONS)}")

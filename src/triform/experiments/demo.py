@@ -17,7 +17,7 @@ from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_folder, write_json
 from triform.report.tables import WIDE, legend, summary_rows
 from triform.threads import limit_threads
-from triform.types import require
+from triform.types import convert_fields, require
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ class DemoConfig:
     scenario: Scenario = field(default_factory=Scenario)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_teams((self.robots,), 1, self.seed)
         require(self.index >= 0, f"index is {self.index}; it must not be negative")
         require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")

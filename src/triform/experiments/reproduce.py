@@ -41,7 +41,7 @@ from triform.report.tables import (
     write_parquet,
 )
 from triform.threads import limit_threads
-from triform.types import ConfigurationError, Controller, PrivilegedView, require
+from triform.types import ConfigurationError, Controller, PrivilegedView, convert_fields, require
 
 What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "all"]
 KEYS = [key for key in get_args(What) if key != "all"]
@@ -86,6 +86,7 @@ class ReproduceConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.what in (*KEYS, "all"), f"what is {self.what!r}; allowed are {', '.join(KEYS)} and all")
         check_teams(SIZES, self.runs, self.seed)
         scenario = self.scenario

@@ -20,7 +20,7 @@ from triform.simulation import Arena, Footprint
 from triform.simulation.ray_kernels import Scene
 from triform.simulation.world_kernels import Contacts, record_contacts
 from triform.threads import limit_threads
-from triform.types import TriformError, require
+from triform.types import TriformError, convert_fields, require
 from triform.version import __version__
 
 #: Robots are not farther from their neighbours, or closer to them, than the prescribed distance by this factor.
@@ -57,6 +57,7 @@ class MeasureConfig:
     threads: int | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(len(self.files) > 0, "no file is named; name the recorded runs to measure")
         require(0 < self.distance < np.inf, f"distance is {self.distance} m; it must be positive and finite")
         arrays = any(path.suffix == ".npy" for path in self.files)

@@ -35,7 +35,7 @@ from triform.robots.robomaster import USB_ADDRESS, WIFI_ADDRESS, RoboMaster
 from triform.signals import StopSignals
 from triform.simulation import Drive, Footprint, Mounting, Placement, Profile, get_profile, read_sectors
 from triform.threads import limit_threads
-from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, require
+from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, convert_fields, require
 
 #: How long a LiDAR may take to give its first scan, because it has to start turning [s].
 _FIRST_SCAN = 8.0
@@ -105,6 +105,7 @@ class DriveConfig:
     guard: bool = True
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         farthest = self.model.range_max / SENSING_RANGE
         require(
             0 < self.distance <= farthest,

@@ -10,7 +10,17 @@ from typing import Literal
 import numpy as np
 
 from triform.simulation.mounting import Mounting
-from triform.types import Body, ConfigurationError, FloatArray, ScanConfig, choose, nearest, require
+from triform.types import (
+    Body,
+    ConfigurationError,
+    FloatArray,
+    ScanConfig,
+    choose,
+    convert_fields,
+    converted,
+    nearest,
+    require,
+)
 
 
 def _is_positive(value: float) -> bool:
@@ -32,6 +42,7 @@ class Footprint:
     width: float
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.shape in ("box", "circle"), f"footprint shape is {self.shape!r}; allowed are box, circle")
         require(
             _is_positive(self.length) and _is_positive(self.width),
@@ -121,8 +132,8 @@ class Footprint:
 #: DJI RoboMaster EP.
 ROBOMASTER_EP = Footprint.box(0.320, 0.240)
 
-#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, centred on the
-#: LiDAR as all footprints are; circles are named after their radius in centimetres, the box after its side.
+#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, around its
+#: centre as all footprints are; circles are named after their radius in centimetres, the box after its side.
 FOOTPRINTS = {
     "ep": ROBOMASTER_EP,
     "engineer": Footprint.box(0.410, 0.240),
@@ -149,6 +160,7 @@ class NoiseBand:
     relative: float = 0.0
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.up_to > 0, f"a noise band ends at {self.up_to} m; it must be positive")
         require(
             0 <= self.absolute < math.inf and 0 <= self.relative < math.inf,
@@ -177,6 +189,7 @@ class LidarConfig:
     period: float = 0.1
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         ends = [band.up_to for band in self.noise]
         require(
             not ends or (ends == sorted(set(ends)) and ends[-1] == math.inf),
@@ -217,6 +230,7 @@ class Drive:
     lag: float = 0.0
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("max_speed", "max_axis_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration"):
             value = getattr(self, name)
             require(value > 0, f"{name} is {value}; it must be positive (inf for no limit)")
@@ -251,6 +265,7 @@ class Profile:
     mounting: Mounting = field(default_factory=Mounting)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("control_period", "time_step"):
             value = getattr(self, name)
             require(_is_positive(value), f"{name} is {value} s; it must be positive and finite")
@@ -302,6 +317,7 @@ def get_profile(name: str) -> Profile:
     Raises:
         ConfigurationError: There is no such profile, or the file holds what is not allowed.
     """
+    name = converted("profile", name, str)
     if name.endswith(".toml"):
         from triform.simulation.profile_file import read_profile
 

@@ -227,8 +227,8 @@ class RoboMaster:
             raise RoboMasterError(f"{lost}: {error.strerror}") from error
         ours.settimeout(_PATIENCE)
         ready = f"{watchdog.READY}\n".encode()
-        with suppress(OSError):
-            if ours.recv(len(ready), socket.MSG_WAITALL) == ready:
+        with suppress(OSError), ours.makefile("rb") as said:
+            if said.read(len(ready)) == ready:
                 return process, ours
         ours.close()
         process.kill()
