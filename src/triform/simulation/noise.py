@@ -60,7 +60,7 @@ def noise_scale(drive: Drive) -> float:
 
 
 def noise_period(drive: Drive) -> float:
-    """How long a robot with this base holds its exploration noise [s]: ``NOISE_PERIOD`` after the longest turn to it."""
+    """How long a robot with this base holds its noise [s]: ``NOISE_PERIOD`` after the longest turn to its direction."""
     wheels = drive.wheels
     if wheels is None:
         return NOISE_PERIOD
