@@ -1,23 +1,36 @@
 # make demo    the main job on the shipped weights
 # make test    every check that CI runs; those that need Gazebo are skipped where there is none
+# make test-quick PYTHON=python3.12    the tests of the lower rooms, on another Python; needs no PyTorch
 # make gazebo  a Gazebo 11 of our own, or the plugin for one that is installed
 # make fuzz    campaigns against LiDAR bytes, command line, policies, data sets, recordings, a robot's answers, and kills
 # make bench   speed, beside peers and the machine's limits, into benchmarks/results
 # All set up their own virtual environments; the second time that takes no time.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
-BIN := .venv/bin
+# A Python that is named and is not that of .venv has an environment of its own.
+VERSION_OF = $(shell $(1) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+VENV := .venv
+ifneq ($(origin PYTHON),file)
+ifneq ($(filter-out $(call VERSION_OF,$(PYTHON)),$(call VERSION_OF,.venv/bin/python)),)
+VENV := .venv-$(call VERSION_OF,$(PYTHON))
+endif
+endif
+BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 
 # The wheels of ROS 2 start every Python of their environment twice, so they have one of their own above the other.
-ROS := .venv-ros
+ROS := $(VENV)-ros
 
-.PHONY: demo test gazebo fuzz bench clean
+# What test-quick runs: it needs the extra "test" alone, and about a minute beside the kernels' compilation.
+QUICK := tests/geometry tests/perception tests/simulation tests/test_boundary_types.py tests/test_front_door.py \
+	tests/test_kernel_cache.py tests/test_rooms.py tests/test_threads.py tests/test_view_of_scan.py
 
-demo: .venv/installed-evaluate
+.PHONY: demo test test-quick gazebo fuzz bench clean
+
+demo: $(VENV)/installed-evaluate
 	$(BIN)/triform demo
 
-test: .venv/installed-dev $(ROS)/installed
+test: $(VENV)/installed-dev $(ROS)/installed
 	$(BIN)/ruff check src tests benchmarks ros2
 	$(BIN)/ruff format --check src tests benchmarks ros2
 	$(BIN)/mypy
@@ -25,7 +38,10 @@ test: .venv/installed-dev $(ROS)/installed
 	$(BIN)/python -m pytest --ignore tests/ros2
 	$(ROS)/bin/python -m pytest tests/ros2
 
-gazebo: .venv/installed-evaluate
+test-quick: $(VENV)/installed-test
+	$(BIN)/python -m pytest $(QUICK)
+
+gazebo: $(VENV)/installed-evaluate
 	$(BIN)/python -m triform.robots.gazebo.install
 
 # Seconds of each campaign of `make fuzz`; docs/reliability.md has what they found.
@@ -39,29 +55,29 @@ fuzz: .venv/installed-dev
 		$(BIN)/python -m tests.fuzz.$$campaign --seconds $(FUZZ_SECONDS) || failed="$$failed $$campaign"; \
 	done; test -z "$$failed" || { echo "failed:$$failed" >&2; exit 1; }
 
-bench: .venv/installed-bench
+bench: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv $(ROS) demo build src/triform.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv .venv-* demo build src/triform.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
-.venv/bin/python:
+$(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "triform needs Python 3.11 or newer; name it with: make PYTHON=/path/to/python" >&2; exit 1; }
-	$(PYTHON) -m venv .venv || { rm -rf .venv; exit 1; }
+	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }
 
-$(ROS)/installed: pyproject.toml constraints.txt .venv/installed-dev
+$(ROS)/installed: pyproject.toml constraints.txt $(VENV)/installed-dev
 	@echo "installing triform[ros] into $(ROS)"
 	@rm -rf $(ROS) && $(PYTHON) -m venv $(ROS)
-	@echo "import site; site.addsitedir('$(CURDIR)/.venv/lib/python$$($(ROS)/bin/python -c 'import sys; print(*sys.version_info[:2], sep=".")')/site-packages')" \
+	@echo "import site; site.addsitedir('$(CURDIR)/$(VENV)/lib/python$$($(ROS)/bin/python -c 'import sys; print(*sys.version_info[:2], sep=".")')/site-packages')" \
 		> "$$($(ROS)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/zz_triform.pth"
 	@$(ROS)/bin/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt \
 		$$($(ROS)/bin/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["ros"])') \
 		|| echo "there are no wheels of ROS 2 for this machine; the tests that need them are skipped"
 	@touch $@
 
-.venv/installed-%: pyproject.toml constraints.txt | .venv/bin/python
-	@echo "installing triform[$*] into .venv"
+$(VENV)/installed-%: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing triform[$*] into $(VENV)"
 	@$(PIP) --editable '.[$*]'
 	@touch $@

@@ -17,10 +17,12 @@ from triform import __version__
 from triform.cli import COMMANDS, main
 from triform.commands.options import CONFIG, registry
 from triform.commands.show import Show
+from triform.files import exclusive
 from triform.training import PRESETS
 
 #: A preset that learns an expert from demonstrations, and one that learns the triangulating law from scenes.
 DEMONSTRATED = next(name for name, preset in PRESETS.items() if preset.scenes is None and preset.maps is not None)
+QUICK = ["evaluate", "--controller", "expert", "--robots", "3", "--runs", "1", "--duration", "5", "--json"]
 SCENES = next(name for name, preset in PRESETS.items() if preset.scenes is not None)
 
 
@@ -263,3 +265,68 @@ def test_output_that_finds_no_reader_ends_without_a_traceback() -> None:
     )  # fmt: skip
     assert "Traceback" not in done.stderr
     assert done.stdout.count("usage: triform evaluate") == 3
+
+
+@pytest.mark.parametrize("redirection", [">/dev/full", ">&-", "2>/dev/full >/dev/full"])
+@pytest.mark.parametrize("arguments", ["--help", "show profile", "show profile hardware", "evaluate --help"])
+def test_output_that_cannot_be_written_ends_in_a_sentence(arguments: str, redirection: str) -> None:
+    command = f"{sys.executable} -m triform {arguments} {redirection}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.returncode == (0 if redirection == ">&-" else 1)
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+    if redirection == ">/dev/full":
+        assert done.stderr.startswith("triform: cannot write the output: no space left")
+
+
+@pytest.mark.parametrize("name", ["x[/].json", "[bold]x.json", ":smile:.json", "\x1b[31mx.json", "x\udcff.json"])
+def test_names_of_files_are_text_and_no_markup(
+    name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*QUICK, name]) == 0
+    out = capsys.readouterr().out
+    shown = name.encode("unicode_escape").decode() if name[0] == "\x1b" or name[1] == "\udcff" else name
+    assert f"wrote {Path(shown)}" in out
+    assert len(list(tmp_path.rglob("*.parquet"))) == 1
+
+
+@pytest.mark.parametrize("name", ["[/]", "[bold]x", "\x1b[31m", ":smile:", "\udcff"])
+@pytest.mark.parametrize(
+    "arguments",
+    ["evaluate --profile", "evaluate --controller", "evaluate --runs", "evaluate --event", "measure", "export", "show",
+     "demo --arena", "collect --teacher", "", "drive --lidar", "reproduce"],
+)  # fmt: skip
+def test_what_users_write_is_shown_as_it_is(arguments: str, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        status = main([*arguments.split(), name])
+    except SystemExit as ended:
+        status = int(str(ended.code))
+    assert status in (1, 2)
+    shown = capsys.readouterr().err
+    assert all(each.isprintable() or each == "\n" for each in shown)
+    assert "\u263a" not in shown
+
+
+def test_a_result_never_replaces_a_device(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    device = tmp_path / "null"
+    device.symlink_to("/dev/null")
+    assert (
+        main(
+            [
+                *["evaluate", "--controller", "expert", "--robots", "3", "--runs", "1", "--duration", "5", "--json"],
+                str(device),
+            ]
+        )
+        == 1
+    )
+    assert "is a device" in capsys.readouterr().err
+    assert device.is_symlink()
+
+
+@pytest.mark.parametrize("command", ["compare", "conditions", "ablate", "reproduce", "demo"])
+def test_a_folder_has_one_writer(command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with exclusive(tmp_path):
+        assert main([command, "--output", str(tmp_path)]) == 1
+    assert "another process" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [".lock"]

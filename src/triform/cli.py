@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import importlib
+import io
 import os
+import reprlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import tyro
 from rich.console import Console
 
-from triform.types import TriformError, nearest
+from triform.types import TriformError, nearest, printable
 from triform.version import __version__
 
 #: Extra and package of the modules that extras install.
@@ -24,6 +28,7 @@ _EXTRAS = {
     "safetensors": ("train", "safetensors"),
     "tensorboard": ("train", "tensorboard"),
     "onnx": ("train", "onnx"),
+    "mujoco": ("mujoco", "MuJoCo"),
     "ray": ("ray", "ray"),
     "serial": ("robot", "pyserial"),
 }
@@ -106,20 +111,53 @@ def _overview() -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status: 0 done, 1 it could not be done, 2 wrong usage."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    errors = Console(stderr=True)
+    try:
+        with _output():
+            return _run(given)
+    except TriformError as error:
+        _complain(str(error))
+    except ModuleNotFoundError as error:
+        extra, package = _EXTRAS.get((error.name or "").split(".")[0], ("", ""))
+        if not extra:
+            raise
+        _complain(
+            f"{given[0]} needs {package}, which the extra {extra!r} installs: pip install 'triform[{extra}]', or in a "
+            f"checkout pip install '.[{extra}]'"
+        )
+    except BrokenPipeError:
+        # Whoever read the output has seen enough.
+        _drop_output()
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        if error.filename is None:
+            # Errors of files name their file; this is one of the output.
+            _drop_output()
+            _complain(f"cannot write the output: {reason}; files written so far are kept")
+        else:
+            _complain(f"cannot use {reprlib.repr(str(error.filename))}: {reason}")
+    except MemoryError:
+        _complain("there is not enough memory for this; files written so far are kept")
+    except KeyboardInterrupt:
+        _complain("interrupted; files written so far are kept; train goes on with --resume")
+        return 130
+    return 1
+
+
+def _run(given: list[str]) -> int:
+    """Run the command line and return its exit status, unless an error ends it."""
     if given in (["--version"], ["--help"], ["-h"]):
         sys.stdout.write((__version__ if given == ["--version"] else _overview()) + "\n")
         return 0
     if not given or given[0] not in COMMANDS:
         problem = f"there is no command {given[0]!r}{nearest(given[0], COMMANDS)}" if given else "a command is missing"
-        sys.stderr.write(f"triform: {problem}\n\n{_overview()}\n")
+        _say(f"triform: {problem}\n\n{_overview()}")
         return 2
-    try:
-        command = COMMANDS[given[0]]
-        options = command.load()
-        from triform.commands.options import CONFIG, registry
+    command = COMMANDS[given[0]]
+    options = command.load()
+    from triform.commands.options import CONFIG, registry
 
-        description = f"{command.summary[0].upper()}{command.summary[1:]}. Example: {command.example}"
+    description = f"{command.summary[0].upper()}{command.summary[1:]}. Example: {command.example}"
+    with _printable_errors(given):
         chosen = tyro.cli(
             options,
             prog=f"triform {given[0]}",
@@ -128,31 +166,61 @@ def main(arguments: Sequence[str] | None = None) -> int:
             config=CONFIG,
             registry=registry,
         )
-        from triform.kernels import kernels_compiled
+    from triform.kernels import kernels_compiled
 
-        if not kernels_compiled():
-            sys.stderr.write("compiling kernels, once after an installation: about a minute\n")
-        chosen.run(Console())
-    except TriformError as error:
-        errors.print(f"triform: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
-        return 1
-    except ModuleNotFoundError as error:
-        extra, package = _EXTRAS.get((error.name or "").split(".")[0], ("", ""))
-        if not extra:
-            raise
-        sys.stderr.write(
-            f"triform: {given[0]} needs {package}, which the extra {extra!r} installs: pip install 'triform[{extra}]', "
-            f"or in a checkout pip install '.[{extra}]'\n"
-        )
-        return 1
-    except BrokenPipeError:
-        # Whoever read the output has seen enough; what is still in buffers has no reader either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except KeyboardInterrupt:
-        sys.stderr.write("triform: interrupted; files written so far are kept; train goes on with --resume\n")
-        return 130
+    if not kernels_compiled():
+        _say("compiling kernels, once after an installation: about a minute")
+    # What users name files and what other programs say is text, not markup.
+    chosen.run(Console(markup=False, emoji=False, highlight=False))
     return 0
+
+
+@contextmanager
+def _printable_errors(given: list[str]) -> Iterator[None]:
+    """Show arguments that steer a terminal as their escapes in what tyro says of them."""
+    if all(map(str.isprintable, given)):
+        yield
+        return
+    held = io.StringIO()
+    try:
+        with redirect_stderr(held):
+            yield
+    finally:
+        _say("\n".join(map(printable, held.getvalue().split("\n"))))
+
+
+@contextmanager
+def _output() -> Iterator[None]:
+    """Make the streams of the program take all text, and find out that they cannot be written before it ends."""
+    # A shell can close them (>&-).
+    sys.stdout = sys.stdout or Path(os.devnull).open("w")  # noqa: SIM115
+    sys.stderr = sys.stderr or Path(os.devnull).open("w")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+
+
+def _complain(sentence: str) -> None:
+    """Say on standard error why a command ends."""
+    _say(f"triform: {printable(sentence)}", "red")
+
+
+def _say(text: str, style: str | None = None) -> None:
+    """Show text on standard error, as far as anything can be shown there."""
+    with suppress(OSError):
+        Console(stderr=True, markup=False, emoji=False, highlight=False).print(text, style=style, soft_wrap=True)
+
+
+def _drop_output() -> None:
+    """Drop what is still in the buffer of standard output, which would fail once more when the program ends."""
+    with suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, sys.stdout.fileno())
+        os.close(null)
 
 
 if __name__ == "__main__":

@@ -13,9 +13,16 @@ A *pose* is ``(x, y, heading)`` in the world frame [m, m, rad]; a *body twist*, 
 from __future__ import annotations
 
 import difflib
+import functools
+import itertools
+import numbers
+import os
+import sys
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, TypeVar
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, NamedTuple, Protocol, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +42,9 @@ LARGEST = 1e6
 #: How long a robot holds its exploration noise before it draws anew [s].
 NOISE_PERIOD = 0.5
 
+
+#: What a value of a type is called in errors.
+_NEEDED = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", Path: "a path"}
 
 Value = TypeVar("Value")
 
@@ -90,6 +100,99 @@ def nearest(name: str, known: Collection[str]) -> str:
     return f" (did you mean {near[0]!r}?)" if near else ""
 
 
+def as_array(what: str, values: ArrayLike, dtype: type[np.generic] | None = np.float64) -> NDArray[Any]:
+    """Return values as kernels take them: in memory order, of the machine's byte order, writable.
+
+    Args:
+        what: What they are called in an error, such as positions.
+        values: Numbers of any real type, in an array or in lists; for ``bool``, truth values alone.
+        dtype: Type of the result; ``None`` keeps single precision and makes all else double precision.
+
+    Returns:
+        The values themselves if they are so already, else a copy.
+
+    Raises:
+        ConfigurationError: The values are of another kind, some are masked, or rows have several lengths.
+    """
+    dtypes = (np.float32, np.float64) if dtype is None else (dtype,)
+    # One number may stand for all rays that have not been measured yet.
+    spread = dtype is None and isinstance(values, np.ndarray) and 0 in values.strides
+    if type(values) is np.ndarray and values.dtype in dtypes and (values.flags.carray or spread):
+        return values
+    try:
+        array = np.asarray(values)
+    except (ValueError, TypeError):
+        raise ConfigurationError(
+            f"the {what} are rows of several lengths, or no numbers; they need one length"
+        ) from None
+    allowed, needed = ("b", "true or false") if dtype is np.bool_ else ("iuf", "numbers")
+    if array.dtype.kind not in allowed:
+        raise ConfigurationError(f"the {what} are of type {array.dtype}; {needed} are needed")
+    if np.ma.is_masked(values):
+        raise ConfigurationError(f"some of the {what} are masked; every one needs a value")
+    single = len(dtypes) > 1 and array.dtype.newbyteorder("=") == np.float32
+    # What no double holds is infinite.
+    with np.errstate(over="ignore"):
+        return np.require(array, dtypes[0 if single else -1], ["C", "A", "W"])
+
+
+def convert_fields(configuration: Any) -> None:
+    """Give every value of a frozen dataclass the type that its attribute declares; call it in ``__post_init__``.
+
+    Raises:
+        ConfigurationError: A value is of another type, see ``converted``.
+    """
+    for name, kind in _declared(configuration.__class__).items():
+        object.__setattr__(configuration, name, converted(name, getattr(configuration, name), kind))
+
+
+@functools.cache
+def _declared(configuration: Any) -> dict[str, Any]:
+    """Types of a dataclass's attributes by name."""
+    hints = get_type_hints(configuration)
+    return {each.name: hints[each.name] for each in fields(configuration)}
+
+
+def converted(name: str, value: Any, kind: Any) -> Any:
+    """Return a value as a type, where that has one meaning.
+
+    Numbers of NumPy become those of Python, text becomes a path and a path text, lists and arrays become tuples.
+
+    Args:
+        name: What the value is called in an error.
+        value: The value.
+        kind: ``bool``, ``int``, ``float``, ``str``, ``Path``, a dataclass, one of these or ``None``, or a tuple of
+            these; values of other types are left as they are.
+
+    Raises:
+        ConfigurationError: The value is of another type; the sentence says of which one is needed.
+    """
+    if type(value) is kind:
+        return value
+    fits, make, inner = False, kind, get_args(kind)
+    if get_origin(kind) in (Union, UnionType):
+        rest = [each for each in inner if each is not NoneType]
+        return value if value is None or len(rest) > 1 else converted(name, value, rest[0])
+    if get_origin(kind) is tuple:
+        kinds = itertools.repeat(inner[0]) if inner[1:] == (...,) else inner
+        if isinstance(value, list | tuple | np.ndarray) and (inner[1:] == (...,) or len(value) == len(inner)):
+            return tuple(converted(name, each, one) for each, one in zip(value, kinds, strict=False))
+        raise ConfigurationError(f"{name} is {value!r}; a list is needed")
+    if isinstance(value, bool | np.bool_):
+        fits, make = kind is bool, bool
+    elif isinstance(value, numbers.Integral):
+        fits, make = kind is int or (kind is float and abs(int(value)) <= sys.float_info.max), int
+    elif isinstance(value, numbers.Real):
+        fits, make = kind is float, float
+    elif isinstance(value, str | os.PathLike):
+        fits, make = kind in (str, Path), kind
+    if fits:
+        return make(value)
+    if kind in _NEEDED or (isinstance(kind, type) and is_dataclass(kind) and not isinstance(value, kind)):
+        raise ConfigurationError(f"{name} is {value!r}; {_NEEDED.get(kind) or f'a {kind.__name__}'} is needed")
+    return value
+
+
 class Body(NamedTuple):
     """Outline of all robots, as kernels take it.
 
@@ -121,6 +224,7 @@ class ScanConfig:
     range_max: float = SENSING_RANGE
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.rays >= 1, f"rays is {self.rays}; at least 1 is needed")
         require(bool(np.isfinite(self.angle_min)), f"angle_min is {self.angle_min}; it must be finite")
         require(
@@ -157,6 +261,7 @@ class MapConfig:
     max_cells: int = 150
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.size >= 1, f"map size is {self.size} cells; at least 1 is needed")
         require(0 < self.cell < np.inf, f"cell is {self.cell} m; it must be positive and finite")
         require(
@@ -183,13 +288,12 @@ class Scan:
     config: ScanConfig
 
     def __post_init__(self) -> None:
-        if not isinstance(self.ranges, np.ndarray):
-            raise ConfigurationError(f"the ranges of a scan are a {type(self.ranges).__name__}; an array is needed")
-        if not np.issubdtype(self.ranges.dtype, np.floating):
-            raise ConfigurationError(f"the ranges of a scan are of type {self.ranges.dtype}; floating point is needed")
-        if self.ranges.ndim < 1 or self.ranges.shape[-1] != self.config.rays:
+        converted("config of a scan", self.config, ScanConfig)
+        ranges = as_array("ranges of a scan", self.ranges, None)
+        object.__setattr__(self, "ranges", ranges)
+        if ranges.shape[-1:] != (self.config.rays,):
             raise ConfigurationError(
-                f"a scan has ranges of shape {self.ranges.shape}; "
+                f"a scan has ranges of shape {ranges.shape}; "
                 f"its last axis must hold the {self.config.rays} rays of its configuration"
             )
 
@@ -230,12 +334,7 @@ class View:
         Raises:
             ConfigurationError: The ranges are no numbers, or of another shape.
         """
-        try:
-            numbers = np.asarray(ranges)
-        except ValueError:
-            raise ConfigurationError("the ranges of scans are rows of several lengths; they need one length") from None
-        require(numbers.dtype.kind in "iuf", f"the ranges of a scan are of type {numbers.dtype}; numbers are needed")
-        given = numbers.astype(np.float64)
+        given = np.array(as_array("ranges of a scan", ranges))
         require(
             1 <= given.ndim <= 3 and given.size > 0,
             f"ranges of shape {given.shape} given; (R,), (N, R) or (B, N, R) is needed, with at least one ray",
@@ -245,20 +344,28 @@ class View:
         return cls(scans, np.ones(batch.shape[:2], dtype=np.bool_), time)
 
     def __post_init__(self) -> None:
-        if self.active.ndim != 2 or self.scans.ranges.shape[:-1] != self.active.shape:
+        converted("scans of a view", self.scans, Scan)
+        object.__setattr__(self, "time", converted("time of a view", self.time, float))
+        object.__setattr__(self, "active", as_array("flags of active robots", self.active, np.bool_))
+        shape = self.active.shape
+        if len(shape) != 2 or self.scans.ranges.shape[:-1] != shape:
             raise ConfigurationError(
-                f"a view has ranges of shape {self.scans.ranges.shape} and active of shape {self.active.shape}; "
+                f"a view has ranges of shape {self.scans.ranges.shape} and active of shape {shape}; "
                 "(B, N, R) and (B, N) are needed"
             )
-        for name, values, width in (("noise", self.noise, 2), ("odometry", self.odometry, 3)):
-            if values is not None and values.shape != (*self.active.shape, width):
-                raise ConfigurationError(
-                    f"a view has {name} of shape {values.shape}; {(*self.active.shape, width)} is needed"
-                )
-            if values is not None and not is_plausible(values[self.active]):
-                raise ConfigurationError(
-                    f"a view has {name} that is not finite or exceeds {LARGEST:g}; no command can rest on it"
-                )
+        for name, columns in (("noise", 2), ("odometry", 3)):
+            if getattr(self, name) is not None:
+                self._convert(name, columns)
+
+    def _convert(self, name: str, columns: int) -> None:
+        """Make an attribute an array with columns for every robot, or refuse it."""
+        values, needed = as_array(f"{name} of a view", getattr(self, name)), (*self.active.shape, columns)
+        require(values.shape == needed, f"a view has {name} of shape {values.shape}; {needed} is needed")
+        require(
+            is_plausible(values[self.active]),
+            f"a view has {name} that is not finite or exceeds {LARGEST:g}; no command can rest on it",
+        )
+        object.__setattr__(self, name, values)
 
 
 def is_plausible(values: FloatArray) -> bool:
@@ -275,6 +382,10 @@ class PrivilegedView(View):
     """
 
     poses: FloatArray
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._convert("poses", 3)
 
 
 ViewIn = TypeVar("ViewIn", bound=View, contravariant=True)

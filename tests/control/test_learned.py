@@ -130,9 +130,9 @@ def test_ranges_of_any_value_give_a_defined_command(policy: LearnedPolicy) -> No
         (np.zeros((1, 1, 451)), "450 rays"),
         (np.zeros(450), r"\(B, N, R\)"),
         (np.zeros((1, 2, 450)), r"\(B, N, R\)"),
-        (np.array([[[1.0] * 450]], dtype=object), "floating point"),
-        (np.zeros((1, 1, 450), dtype=np.int64), "floating point"),
-        ([[[1.0] * 450]], "an array is needed"),
+        (np.array([[[1.0] * 450]], dtype=object), "numbers are needed"),
+        (np.zeros((1, 1, 450), dtype=bool), "numbers are needed"),
+        ([[[1.0] * 450, [1.0]]], "one length"),
     ],
 )
 def test_scans_of_another_form_are_refused(ranges: np.ndarray, says: str) -> None:

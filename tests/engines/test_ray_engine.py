@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import ipaddress
 import json
 import os
 import signal
@@ -11,11 +12,13 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.fuzz import ray_losses
 from tests.options import options
 from triform.cli import main
 from triform.dataset import CollectionConfig, collect
@@ -63,6 +66,24 @@ def descendants(pid: int) -> list[int]:
             continue
     found = [child for child, parent in parents.items() if parent == pid]
     return found + [each for child in found for each in descendants(child)]
+
+
+def listening(processes: set[int]) -> set[ipaddress.IPv4Address | ipaddress.IPv6Address]:
+    """Addresses on which these processes listen; some on any system where Ray runs."""
+    found, sockets = set(), set()
+    for pid in processes:
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            with suppress(OSError):
+                sockets.add(link.readlink().name)
+    for table in ("tcp", "tcp6"):
+        for line in Path("/proc/net", table).read_text().splitlines()[1:]:
+            _, local, _, state, *rest = line.split()
+            if state == "0A" and f"socket:[{rest[5]}]" in sockets:
+                words = [bytes.fromhex(local[k : k + 8])[::-1] for k in range(0, len(local) - 5, 8)]
+                place = ipaddress.ip_address(b"".join(words))
+                found.add(getattr(place, "ipv4_mapped", None) or place)
+    assert found
+    return found
 
 
 class Deadly:
@@ -323,6 +344,7 @@ def test_ctrl_c_ends_a_ray_of_our_own_in_one_sentence(tmp_path):
         time.sleep(0.05)
     ours = descendants(child.pid)
     assert ours
+    assert all(each.is_loopback for each in listening({child.pid, *ours}))
     child.send_signal(signal.SIGINT)
     _, errors = child.communicate(timeout=60)
     assert child.returncode == 130
@@ -330,6 +352,14 @@ def test_ctrl_c_ends_a_ray_of_our_own_in_one_sentence(tmp_path):
     assert errors.strip().splitlines()[-1].startswith("triform: interrupted")
     assert "Traceback" not in errors
     assert not [pid for pid in ours if Path(f"/proc/{pid}").exists() and _alive(pid)]
+
+
+@pytest.mark.slow
+def test_a_ray_that_is_lost_is_said_in_one_sentence(tmp_path, monkeypatch):
+    # On a busy machine it takes longer, but not a minute as Ray itself would.
+    monkeypatch.setattr(ray_losses, "LIMIT", 30.0)
+    monkeypatch.setattr(ray_losses, "COLLECT", ["collect", "--runs", "30", "--placements", "0"])
+    assert ray_losses.lose("gcs_server", "work", tmp_path) == ""
 
 
 def _alive(pid: int) -> bool:

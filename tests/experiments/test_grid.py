@@ -188,7 +188,8 @@ def test_runs_of_another_body_are_other_runs():
     scenarios = [
         Scenario(),
         Scenario(simulator="gazebo"),
-        Scenario(simulator="gazebo", gazebo_base="mecanum"),
+        Scenario(simulator="gazebo", base="mecanum"),
+        Scenario(simulator="mujoco"),
         Scenario(profile="hardware"),
     ]
     described = [make_cell("a", "policy", each, 5, 10).settings(each.make_controller()) for each in scenarios]

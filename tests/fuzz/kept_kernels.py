@@ -92,11 +92,14 @@ def main() -> int:
     """Run the campaign; 1 if a damaged kernel was loaded."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--tries", type=int, default=sys.maxsize)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         kernels._FOLDER = Path(folder)
-        tried, loaded = campaign(KeptKernel(Path(folder)), seconds=options.seconds, seed=options.seed)
+        tried, loaded = campaign(
+            KeptKernel(Path(folder)), tries=options.tries, seconds=options.seconds, seed=options.seed
+        )
     for number in loaded:
         sys.stdout.write(f"loaded: mutation {number} of seed {options.seed}\n")
     sys.stdout.write(f"kept kernels: {tried} tried, {len(loaded)} failed\n")

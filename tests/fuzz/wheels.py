@@ -26,40 +26,46 @@ PERIOD = 0.125
 SLACK = 0.1
 
 
-def freeze(base: RoboMaster, _: RoboMasterEmulator) -> None:
+def freeze(base: RoboMaster, _: RoboMasterEmulator, __: threading.Event) -> None:
     """Stop the watchdog process, as a debugger or a machine without memory would."""
     base._process.send_signal(signal.SIGSTOP)
 
 
-def kill(base: RoboMaster, _: RoboMasterEmulator) -> None:
+def kill(base: RoboMaster, _: RoboMasterEmulator, __: threading.Event) -> None:
     """End the watchdog process."""
     base._process.kill()
 
 
-def silence(_: RoboMaster, emulator: RoboMasterEmulator) -> None:
+def silence(_: RoboMaster, emulator: RoboMasterEmulator, __: threading.Event) -> None:
     """Let the base obey without an answer."""
     emulator.silent = True
 
 
-def delay(_: RoboMaster, emulator: RoboMasterEmulator) -> None:
+def delay(_: RoboMaster, emulator: RoboMasterEmulator, __: threading.Event) -> None:
     """Let the base answer late."""
     emulator.reply_delay = 1.0
 
 
-def refuse(_: RoboMaster, emulator: RoboMasterEmulator) -> None:
+def refuse(_: RoboMaster, emulator: RoboMasterEmulator, __: threading.Event) -> None:
     """Let the base answer with an error."""
     emulator.error = "fail"
 
 
-def close(base: RoboMaster, _: RoboMasterEmulator) -> None:
+def close(base: RoboMaster, _: RoboMasterEmulator, __: threading.Event) -> None:
     """Leave the robot while the watchdog process is frozen."""
     base._process.send_signal(signal.SIGSTOP)
     base.close()
 
 
-FAULTS: dict[str, Callable[[RoboMaster, RoboMasterEmulator], None]] = {
+def hang(_: RoboMaster, __: RoboMasterEmulator, ended: threading.Event) -> None:
+    """Let the control loop give no command any more."""
+    ended.set()
+
+
+FAULTS: dict[str, Callable[[RoboMaster, RoboMasterEmulator, threading.Event], None]] = {
     "frozen keeper": freeze,
     "killed keeper": kill,
+    "hung control loop": hang,
     "silent base": silence,
     "late base": delay,
     "refusing base": refuse,
@@ -85,7 +91,7 @@ def wheels_turn_for(fault: str, rng: np.random.Generator, address: str) -> tuple
         driving.start()
         time.sleep(rng.uniform(0.4, 0.6))
         began = last = time.monotonic()
-        worker = threading.Thread(target=FAULTS[fault], args=(base, emulator))
+        worker = threading.Thread(target=FAULTS[fault], args=(base, emulator, ended))
         worker.start()
         while time.monotonic() - last < 0.5:
             if emulator.command.any():

@@ -20,7 +20,7 @@ from triform.evaluation import Trajectory, measure
 from triform.robots.emulate import EmulateConfig, Emulation, drive_command
 from triform.robots.ldrobot import MODELS, LidarPort
 from triform.robots.robomaster import RoboMaster
-from triform.simulation import HARDWARE, Footprint, LidarConfig, cast_scans, profile_toml
+from triform.simulation import HARDWARE, Footprint, LidarConfig, Mounting, Placement, cast_scans, profile_toml
 from triform.types import ConfigurationError, TriformError
 
 #: Loopback addresses that no other test run on this machine is likely to use.
@@ -58,6 +58,27 @@ def test_a_lidar_shows_the_world_around_its_robot(emulation: Emulation) -> None:
     wrong = ~(np.abs(turn.ranges - exact) < 0.05)
     # Rays that are dropped, and those at edges, where the nearest sample falls to the other side.
     assert wrong.mean() < 0.05
+
+
+def test_a_mounted_lidar_shows_the_same_world_to_a_driver_that_knows_its_mounting(tmp_path: Path) -> None:
+    """It hangs upside down off the centre, and its zero points aside."""
+    mounting = Mounting(0.05, -0.03, yaw=0.7, upright=False)
+    path = tmp_path / "hanging.toml"
+    path.write_text(profile_toml(replace(HARDWARE, mounting=mounting)), encoding="utf-8")
+    config = EmulateConfig(robots=2, arena="room-6", latency=0.05, profile=str(path), **ADDRESSES)
+    with closing(Emulation(config)) as emulation:
+        while emulation.time < 0.2:
+            emulation.step()
+        with LidarPort(emulation.lidars[1].path, config.model, mounting=mounting) as port:
+            step_until(emulation, lambda: port.latest() is not None)
+            turn = port.latest()
+        assert turn is not None
+        poses, everybody = emulation.poses[None], np.ones((1, 2), dtype=np.bool_)
+    scan = config.model.scan_config(7.5)
+    shown = Placement(scan, mounting).from_base(turn.ranges)
+    exact = cast_scans(poses, everybody, HARDWARE.footprint, config.surroundings, scan)[0, 1]
+    wrong = ~(np.abs(shown - exact) < 0.06)
+    assert wrong.mean() < 0.08
 
 
 def test_wheels_move_the_robot_and_its_odometry(emulation: Emulation) -> None:

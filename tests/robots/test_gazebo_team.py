@@ -13,9 +13,9 @@ from triform.control import drive, make_controller
 from triform.evaluation.events import Event
 from triform.evaluation.scenario import Scenario
 from triform.experiments.evaluate import EvaluateConfig, evaluate
+from triform.robots.chassis import MAX_ACCELERATION
 from triform.robots.gazebo import GazeboServer, GazeboTeam, Installation
-from triform.robots.gazebo.sdf import MAX_ACCELERATION
-from triform.simulation import HARDWARE, IDEAL, Arena, World, sample_starts
+from triform.simulation import HARDWARE, IDEAL, Arena, Mounting, World, sample_starts
 from triform.types import ConfigurationError, TriformError
 
 ROBOTS = 5
@@ -137,14 +137,16 @@ def test_wrong_use_is_refused_in_a_sentence(gazebo):
             with pytest.raises(TriformError, match="no world 1"):
                 change()
     turning = replace(IDEAL, lidar=replace(IDEAL.lidar, angle_noise=0.01))
-    with GazeboServer(turning, OPEN, 1) as server, pytest.raises(ConfigurationError, match="angle"):
-        GazeboTeam(server, np.zeros((1, 1, 3)), SEEDS)
+    aside = replace(IDEAL, mounting=Mounting(x=0.1))
+    for profile, told in ((turning, "angle"), (aside, "at the robot's centre")):
+        with GazeboServer(profile, OPEN, 1) as server, pytest.raises(ConfigurationError, match=told):
+            GazeboTeam(server, np.zeros((1, 1, 3)), SEEDS)
 
 
 @pytest.mark.parametrize("drive", ["planar", "mecanum"])
 def test_an_evaluation_is_the_same_each_time_and_forms_teams(gazebo: Installation, drive):
     runs, duration = (3, 12.0) if drive == "planar" else (2, 6.0)
-    given = {"duration": duration, "simulator": "gazebo", "gazebo_base": drive, "threads": 2}
+    given = {"duration": duration, "simulator": "gazebo", "base": drive, "threads": 2}
     config = options(EvaluateConfig, robots=(4,), runs=runs, **given)
     first, second = evaluate(config), evaluate(config)
     for name, column in first.runs.items():
@@ -174,7 +176,7 @@ def test_teams_change(gazebo, kind):
 
 def test_wheels_need_gazebo_and_gazebo_needs_to_be_there(tmp_path, monkeypatch, capsys):
     with pytest.raises(ConfigurationError, match="wheels"):
-        Scenario(gazebo_base="mecanum")
+        Scenario(base="mecanum")
     monkeypatch.setenv("TRIFORM_GAZEBO", str(tmp_path))
     assert main(["evaluate", "--simulator", "gazebo", "--robots", "3", "--runs", "1", "--threads", "1"]) == 1
     assert "make gazebo" in capsys.readouterr().err

@@ -205,7 +205,7 @@ def test_the_map_is_the_policys_and_odometry_moves_it(ros: Ros) -> None:
 
     def drive() -> bool:
         """The robot is moved 0.4 m ahead after its last scan, and stays there."""
-        for x in (0.0, 0.0, 0.4, 0.4):
+        for x in (0.0, 0.0, 0.1, 0.2, 0.3, 0.4):
             if x == 0.0:
                 robot.send(scan, 0.1)
             report(x)

@@ -43,6 +43,15 @@ def test_constant_twist_matches_solve_ivp(pose: tuple[float, ...], twist: tuple[
     assert -np.pi <= moved[2] < np.pi
 
 
+@pytest.mark.parametrize("speed", [5e-324, 1e-322, 1e-310, 1e-300])
+def test_a_robot_that_hardly_moves_any_more_comes_to_rest(speed: float) -> None:
+    """Lag leaves such speeds after a minute without a command; no product of them may be divided by."""
+    lagging = Drive(lag=0.1, max_acceleration=1.0)
+    poses, velocities = steer(np.zeros(3), np.array([speed, 0.0, -speed]), np.zeros(3), lagging, 0.01)
+    np.testing.assert_allclose(poses, 0.0, atol=1e-300)
+    assert (np.abs(velocities) <= speed).all()
+
+
 @pytest.mark.parametrize("turn", [0.0, 1e-300, 1e-12, 1e-8, 1e-4])
 def test_slow_turns_lose_no_digits(turn: float) -> None:
     moved = integrate(np.zeros(3), np.array([1.0, 0.0, turn]), 2.0)

@@ -319,7 +319,7 @@ def test_bad_placements_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="robot 1 in world 0"):
         World(poses, IDEAL)
     assert np.isnan(World(poses, IDEAL, active=np.array([[True, False]])).poses[0, 1]).all()
-    with pytest.raises(ConfigurationError, match="bool of shape"):
+    with pytest.raises(ConfigurationError, match="true or false are needed"):
         World(np.zeros((1, 2, 3)), IDEAL, active=np.array([[1, 0]]))
 
 

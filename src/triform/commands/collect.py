@@ -11,6 +11,11 @@ from rich.console import Console
 
 from triform.commands.terminal import Terminal, given_options, maps_progress
 from triform.engines import EngineName, open_engine
+from triform.experiments.settings import warn_of_time
+from triform.limits import LARGEST_SEED, require_at_most, require_memory
+
+#: Of one shard in memory, and of one worker; both are those of the presets.
+_BYTES_PER_MAP, _MAPS_PER_SECOND = 500.0, 20_000
 
 
 @dataclass(frozen=True)
@@ -47,12 +52,22 @@ class Collect:
         "execution": ("workers", "engine", "ray_address"),
     }
 
+    def __post_init__(self) -> None:
+        require_at_most("seed", self.seed, LARGEST_SEED)
+        for name, most in (("runs", 10**6), ("steps", 10**6), ("placements", 10**8), ("workers", 4096)):
+            require_at_most(name, getattr(self, name), most)
+
     def run(self, console: Console) -> None:
         """Collect, with progress."""
         from triform.dataset import PRESETS, collect
 
         given = given_options(self, "teacher", "seed", "runs", "steps", "placements")
         config = replace(PRESETS[self.preset], **given)
+        require_memory(
+            _BYTES_PER_MAP * config.shard_runs * config.steps * config.robots,
+            f"a shard of roll-outs of {config.steps:,} steps",
+        )
+        warn_of_time(config.maps, self.workers, Terminal(console), _MAPS_PER_SECOND)
         began: tuple[float, int] | None = None
         with open_engine(self.engine, self.workers, self.ray_address) as engine, maps_progress(console) as update:
 

@@ -15,7 +15,7 @@ from triform.control.user import installed_controllers
 from triform.policy import describe_network, read_spec
 from triform.simulation import ARENAS, PROFILES, Profile, arena_toml, get_arena, get_profile, noise_sigma, profile_toml
 from triform.timing.step_time import count_parameters, what_it_sees
-from triform.types import require
+from triform.types import convert_fields, require
 
 #: What the shipped policy was trained on: sizes of outlines [m], rays, range noise at 1 m [m].
 _TRAINED_SIZES, _TRAINED_RAYS, _TRAINED_NOISE = (0.2, 0.41), 450, 0.03
@@ -25,7 +25,7 @@ def beyond_training(robot: Profile) -> list[str]:
     """Return in what a robot differs from those that the shipped policy was trained for, in a few words each."""
     length, width, lidar = robot.footprint.length, robot.footprint.width, robot.lidar
     smallest, largest = _TRAINED_SIZES
-    noise = float(noise_sigma(np.ones(1), lidar)[0])
+    noise = float(noise_sigma(np.ones(1), lidar.noise)[0])
     found = {
         "another base": robot.drive.is_differential,
         "another size": not (smallest <= min(length, width) and max(length, width) <= largest),
@@ -49,6 +49,7 @@ class Show:
     name: Annotated[str | None, tyro.conf.Positional] = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(
             self.name is None or self.what in ("profile", "arena"),
             f"name is {self.name!r}, but {self.what} are only listed",

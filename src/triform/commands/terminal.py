@@ -35,7 +35,7 @@ class Terminal:
             TimeRemainingColumn(),
         )
         with Progress(*columns, console=self.console, transient=True) as bar:
-            task = bar.add_task(description, total=total)
+            task = bar.add_task(printable(description), total=total)
             yield lambda steps=1: bar.advance(task, steps)
 
     def say(self, sentence: str) -> None:
@@ -49,14 +49,14 @@ class Terminal:
 
     def table(self, title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> None:
         """Show a right-aligned table and, below it, what its headings mean."""
-        table = Table(title=Text(title), title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=0)
+        table = Table(title=Text(printable(title)), title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=0)
         for heading in headings:
-            table.add_column(Text(heading), justify="right", overflow="fold")
+            table.add_column(Text(printable(heading)), justify="right", overflow="fold")
         for row in rows:
             table.add_row(*(Text(printable(cell)) for cell in row))
         self.console.print(table)
         if note:
-            self.console.print(Text(note, style="dim"))
+            self.console.print(Text(printable(note), style="dim"))
 
 
 def on_terminal(name: str, config: type, work: Callable[[Any, Terminal], object]) -> type:
@@ -86,7 +86,7 @@ def maps_progress(console: Console) -> Iterator[Callable[..., None]]:
     The bar appears with the first update, so that a refusal before the work stands alone.
     """
     bar = Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TextColumn("{task.fields[rate]:,.0f} maps/s"),

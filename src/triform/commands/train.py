@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 from rich.console import Console
 
 from triform.commands.terminal import Terminal, given_options, maps_progress
-from triform.types import ConfigurationError
+from triform.limits import LARGEST_SEED, check_threads, require_at_most
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,12 @@ class Train:
         "machine": ("device", "threads", "producers"),
     }
 
+    def __post_init__(self) -> None:
+        check_threads(self.threads)
+        require_at_most("seed", self.seed, LARGEST_SEED)
+        for name, most in (("maps", 10**12), ("producers", 4096)):
+            require_at_most(name, getattr(self, name), most)
+
     def run(self, console: Console) -> None:
         """Train, with progress, which only the first of several processes shows."""
         import torch
@@ -69,8 +75,6 @@ class Train:
 
         if not launched().first:
             console = Console(quiet=True)
-        if self.threads < 1:
-            raise ConfigurationError(f"threads is {self.threads}; it must be at least 1")
         torch.set_num_threads(self.threads)
         preset = PRESETS[self.preset]
         given = given_options(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision")
@@ -94,6 +98,10 @@ class Train:
                     description=f"training, loss {at.loss:.4f}",
                 ),
             )
-        Terminal(console).say(
-            f"best policy: {best}; to use it:\ntriform export {best}\ntriform evaluate --controller policy:{best}",
-        )
+        terminal = Terminal(console)
+        for line in (
+            f"best policy: {best}; to use it:",
+            f"triform export {best}",
+            f"triform evaluate --controller policy:{best}",
+        ):
+            terminal.say(line)

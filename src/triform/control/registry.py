@@ -17,7 +17,7 @@ from triform.control.scan_pipeline import ScanPipeline
 from triform.control.triangulating import Triangulating
 from triform.control.user import UserController, installed_controllers, load_class
 from triform.policy import GnnRuntime, PolicyRuntime
-from triform.types import ConfigurationError, Controller, choose, nearest, require
+from triform.types import ConfigurationError, Controller, choose, convert_fields, nearest, require
 
 CONTROLLERS = ("policy", *EXPERTS, "triangulating", "scan-pipeline", "scan-triangulating", "gnn")
 DEFAULT_WEIGHTS = "default"
@@ -40,6 +40,7 @@ class ControllerSpec:
     weights: str | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         name, weights = self.name, self.weights
         head, colon, rest = name.partition(":")
         require(

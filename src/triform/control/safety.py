@@ -40,7 +40,7 @@ from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint, ray_
 from triform.control.safety_kernels import Arcs, SafetyRules, filter_robots, filter_rolling
 from triform.geometry.unicycle import Wheels
 from triform.threads import in_parts
-from triform.types import Controller, FloatArray, ViewIn, require
+from triform.types import Controller, FloatArray, ViewIn, convert_fields, require
 
 #: Robots whose scans keep a thread busy for a few milliseconds.
 ROBOTS_PER_THREAD = 4000
@@ -100,6 +100,7 @@ class SafetySettings:
     arcs: Arcs | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         kernel_footprint(self.footprint)
         require(0 <= self.min_gap < math.inf, f"min_gap is {self.min_gap} m; it must be finite and not negative")
         require(0 < self.reaction < math.inf, f"reaction is {self.reaction} s; it must be positive and finite")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from triform.control.expert import ExpertVariant, Springs, expert_variant, expert_worlds
-from triform.types import FloatArray, require
+from triform.types import FloatArray, convert_fields, require
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class Teacher:
     max_speed: float = 1.0
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         expert_variant(self.name)
         for name in ("distance", "gain", "max_speed"):
             value = getattr(self, name)

@@ -12,7 +12,7 @@ from triform.control.triangulating_kernels import LawConstants, hidden, law_work
 from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import FloatArray, PrivilegedView, require
+from triform.types import FloatArray, PrivilegedView, convert_fields, require
 
 #: Robots whose commands keep a thread busy for a few milliseconds.
 _ROBOTS_PER_THREAD = 3_000
@@ -66,6 +66,7 @@ class TriangulatingLaw:
     strain_width: float = 0.03
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for each in fields(self):
             value = getattr(self, each.name)
             require(0 <= value < np.inf, f"{each.name} of the law is {value}; it must be finite and not negative")

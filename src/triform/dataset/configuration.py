@@ -10,7 +10,7 @@ import numpy as np
 from triform.control import expert_variant
 from triform.decode import decode_dataclass
 from triform.simulation import ROBOMASTER_EP, Footprint
-from triform.types import IntArray, MapConfig, ScanConfig, require
+from triform.types import IntArray, MapConfig, ScanConfig, convert_fields, require
 
 #: Larger maps, scans and teams are mistakes, and would fill the memory before they are found out.
 _MOST_CELLS, _MOST_RAYS, _MOST_ROBOTS = 4096, 100_000, 10_000
@@ -72,6 +72,7 @@ class CollectionConfig:
     group_records: int = 250
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         least = dict.fromkeys(("robots", "steps", "block_placements", "shard_runs", "group_records"), 1)
         least |= dict.fromkeys(("runs", "placements", "seed"), 0)
         for name, minimum in least.items():

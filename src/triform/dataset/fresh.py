@@ -19,7 +19,16 @@ from triform.simulation import Arena, is_connected
 from triform.simulation.lidar import cast_world, scan_rays
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.simulation.ray_kernels import Scene
-from triform.types import SENSING_RANGE, FloatArray, MapArray, MapConfig, ScanConfig, TriformError, require
+from triform.types import (
+    SENSING_RANGE,
+    FloatArray,
+    MapArray,
+    MapConfig,
+    ScanConfig,
+    TriformError,
+    convert_fields,
+    require,
+)
 
 #: Placements drawn before giving up.
 _ATTEMPTS = 1_000_000
@@ -54,6 +63,7 @@ class StateConfig:
     max_speed: float = 0.5
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(
             len(self.robots) > 0 and min(self.robots) >= 1, f"team sizes are {self.robots}; each must be at least 1"
         )

@@ -21,7 +21,7 @@ from triform.simulation.cast_kernels import cast_robot, find_axes
 from triform.simulation.lidar import scan_rays
 from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.simulation.ray_kernels import Scene
-from triform.types import Body, FloatArray, IntArray, MapArray, MapConfig, ScanConfig, require
+from triform.types import Body, FloatArray, IntArray, MapArray, MapConfig, ScanConfig, convert_fields, require
 
 #: Robots that a view tells of, at most; any others are left out.
 SEEN = 24
@@ -67,6 +67,7 @@ class SceneConfig:
     max_speed: float = 0.5
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("placed", "usual", "noisy", "dropping", "dropout", "walled", "pillared"):
             value = getattr(self, name)
             require(0 <= value <= 1, f"{name} of scenes is {value}; it must lie in [0, 1]")

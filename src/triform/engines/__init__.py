@@ -19,11 +19,14 @@ __all__ = ["Engine", "EngineName", "LocalEngine", "Report", "Task", "check_engin
 
 EngineName = Literal["local", "ray"]
 
-#: Ray reads these when it is imported: no usage statistics, no notes of retries between our own lines.
+#: Ray reads these when it is imported: no usage statistics, no lines of its own between ours, and no half a minute of
+#: waiting for a head that has died before it could say where it listens, during which no Python runs.
 _RAY_SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    "RAY_BACKEND_LOG_LEVEL": "fatal",
+    "RAY_gcs_server_port_wait_time_s": "6",
 }
 
 

@@ -5,10 +5,15 @@ No file system is shared: tasks, items and results travel as bytes.
 
 from __future__ import annotations
 
+import atexit
 import functools
+import ipaddress
+import math
 import os
 import socket
+import time
 from collections.abc import Callable, Generator, Sequence
+from functools import partial
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -18,14 +23,20 @@ from ray import cloudpickle
 
 from triform.engines.identity import differences, identity
 from triform.engines.interface import Item, Report, Result, Task
+from triform.engines.patience import SERVERS, Patience
 from triform.engines.progress import Noticeboard, reporter
+from triform.engines.surroundings import on_loopback, silence
 from triform.threads import limit_threads, usable_threads
-from triform.types import ConfigurationError, TriformError, require
+from triform.types import TriformError, require
 
 #: How often an item is begun again because its worker or its machine died.
 _RETRIES = 10
 #: How long a cluster may take to answer at all [s].
 _PATIENCE = 5.0
+#: Time between two counts of a cluster's processors [s].
+_COUNTING = 10.0
+#: How long Ray may take to let go [s].
+_FAREWELL = 3.0
 #: Room for results that wait to be taken [bytes]: of a Ray instance of our own, and for each of its workers.
 _STORE, _STORE_PER_WORKER = 128 * 2**20, 32 * 2**20
 
@@ -46,25 +57,35 @@ class RayEngine:
             ConfigurationError: If a setting is not allowed.
         """
         require(threads is None or threads >= 1, f"{threads} workers asked for; at least 1 is needed")
+        #: Most items that are with Ray at once; if ``None``, twice as many as there are workers.
         self._at_once = threads if address is not None else None
+        self._workers, self._counted = threads or usable_threads(), math.inf if address is None else -math.inf
         self._board: Noticeboard | None = None
+        self._ask = Patience()
         self._keys = count()
         quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "critical"}
         try:
             if address is None:
-                workers = threads or usable_threads()
-                store = _STORE + workers * _STORE_PER_WORKER
-                ray.init(
-                    "local", num_cpus=workers, num_gpus=0, object_store_memory=store, include_dashboard=False, **quiet
+                store = _STORE + self._workers * _STORE_PER_WORKER
+                quiet |= {"num_cpus": self._workers, "num_gpus": 0, "object_store_memory": store}
+                with on_loopback(), silence():
+                    self._ask(partial(ray.init, "local", include_dashboard=False, **quiet))
+                require(
+                    ipaddress.ip_address(ray.util.get_node_ip_address()).is_loopback,
+                    "this version of Ray cannot be kept to this machine alone; start Ray yourself and give ray_address",
                 )
             else:
                 address = _resolved(address)
                 if address != "auto":
                     _check_address(address)
-                ray.init(address, **quiet)
-        except ConfigurationError:
+                with silence():
+                    self._ask(partial(ray.init, address, **quiet))
+            self._ask.watch(self._ask(_servers))
+        except TriformError:
+            self.close()
             raise
-        except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+        except Exception as error:  # Ray raises anything, plain exceptions too.
+            self.close()
             if address is None:
                 raise TriformError(f"cannot start Ray on this machine: {_first_line(error)}") from error
             if address == "auto" and isinstance(error, ConnectionError):
@@ -76,7 +97,9 @@ class RayEngine:
 
     def close(self) -> None:
         """Let go of the cluster, or stop the Ray that was started here."""
-        ray.shutdown()
+        if not self._ask.give_up(ray.shutdown, _FAREWELL):
+            # At the end of the process it would be waited for again.
+            atexit.unregister(ray.shutdown)
 
     def run(
         self, task: Task[Item, Result], items: Sequence[Item], on_progress: Report | None = None
@@ -90,8 +113,9 @@ class RayEngine:
             TriformError: What the task raised, in one sentence; or a machine of the cluster would give other results.
         """
         remote = ray.remote(_by_value()).options(num_cpus=1, max_retries=_RETRIES, retry_exceptions=False)
-        pickled, here = ray.put(cloudpickle.dumps(task)), identity()
-        board = self._noticeboard() if on_progress is not None else None
+        ask, whole, here = self._ask, cloudpickle.dumps(task), identity()
+        pickled = ask(lambda: ray.put(whole))
+        board = ask(self._noticeboard) if on_progress is not None else None
         actor = board.actor if board is not None else None
         waiting = iter(enumerate(items))
         running: dict[Any, tuple[int, int]] = {}
@@ -105,21 +129,21 @@ class RayEngine:
                 on_progress(more)
 
         while True:
-            for index, item in islice(waiting, max(0, self._most() - len(running))):
+            for index, item in islice(waiting, max(0, ask(self._most) - len(running))):
                 key = next(self._keys)
-                running[remote.remote(pickled, cloudpickle.dumps(item), here, actor, key)] = index, key
+                given = pickled, cloudpickle.dumps(item), here, actor, key
+                running[ask(partial(remote.remote, *given))] = index, key
             if not running:
                 return
-            # Ctrl-C is noticed between two calls.
-            finished, _ = ray.wait(list(running), timeout=1.0)
+            finished, _ = ask(partial(ray.wait, list(running), timeout=1.0))
             for reference in finished:
-                result, reported = _outcome(reference)
+                result, reported = ask(partial(_outcome, reference))
                 index, key = running.pop(reference)
                 show(key, reported)
                 yield index, result
             if board is not None:
                 under_way = {key for _, key in running.values()}
-                for key, amount in board.read().items():
+                for key, amount in ask(board.read).items():
                     if key in under_way:
                         show(key, amount)
 
@@ -130,9 +154,11 @@ class RayEngine:
 
     def _most(self) -> int:
         """Items that may be with Ray now: enough that no worker waits, few enough for any memory."""
-        if self._at_once is not None:
-            return self._at_once
-        return 2 * max(1, int(ray.cluster_resources().get("CPU", 0)))
+        now = time.monotonic()
+        if self._at_once is None and now - self._counted > _COUNTING:
+            # Machines join and leave a cluster.
+            self._workers, self._counted = max(1, int(ray.cluster_resources().get("CPU", 0))), now
+        return self._at_once or 2 * self._workers
 
 
 def carry_out(task: bytes, item: bytes, driver: dict[str, str], board: Any, key: int) -> tuple[bytes, float]:
@@ -212,6 +238,17 @@ def _outcome(reference: Any) -> tuple[Any, float]:
     return result, reported
 
 
+def _servers() -> dict[str, tuple[str, int]]:
+    """Where the servers listen that this process is connected to: the cluster's head and this machine's own node."""
+    here = ray.get_runtime_context()
+    host, _, port = here.gcs_address.rpartition(":")
+    found = {SERVERS["gcs_server"]: (host.strip("[]"), int(port))}
+    for node in ray.nodes():
+        if node["NodeID"] == here.get_node_id():
+            found[SERVERS["raylet"]] = node["NodeManagerAddress"], node["NodeManagerPort"]
+    return found
+
+
 def _resolved(address: str) -> str:
     """The ``host:port`` that Ray takes ``auto`` for, or ``auto`` if only Ray can find one."""
     if address != "auto":
@@ -245,8 +282,9 @@ def _check_address(address: str) -> None:
             return
         # Ray speaks gRPC, that is HTTP/2 (RFC 9113, 3.4): both sides begin with their settings, a frame of type 4.
         server.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
-        if server.recv(9)[3:4] != b"\x04":
-            raise OSError("what answers there is not Ray")
+        with server.makefile("rb") as answer:
+            if answer.read(9)[3:4] != b"\x04":
+                raise OSError("what answers there is not Ray")
 
 
 def _first_line(error: BaseException) -> str:

@@ -18,6 +18,7 @@ from triform.types import (
     FloatArray,
     IntArray,
     PrivilegedView,
+    convert_fields,
     require,
 )
 
@@ -53,6 +54,7 @@ class Event:
     time: float = EVENT_TIME
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.kind in EVENTS, f"event is {self.kind!r}; allowed are {', '.join(EVENTS)}")
         require(0 < self.time < np.inf, f"event time is {self.time} s; it must be positive and finite")
 

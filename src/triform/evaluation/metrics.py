@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from triform.evaluation.rollout import Trajectory
 from triform.geometry import assess, edge_error, smallest_distance
-from triform.types import SENSING_RANGE, BoolArray, FloatArray, require
+from triform.types import SENSING_RANGE, BoolArray, FloatArray, converted, require
 
 #: Errors are averaged over this long [s]; so no run counts as converged before it.
 WINDOW = 5.0
@@ -133,6 +133,7 @@ def measure(
     Raises:
         ConfigurationError: The trajectory is shorter than 5 s, or ``distance`` is not positive.
     """
+    distance = converted("distance", distance, float)
     positions, active, time = trajectory.positions, trajectory.active, trajectory.time
     if sensing_range is None:
         sensing_range = SENSING_RANGE * distance

@@ -8,10 +8,20 @@ from typing import Any, TypeVar
 import numpy as np
 
 from triform.simulation import Drive, Footprint, LidarConfig, Profile, constant_noise
-from triform.types import SENSING_RANGE, require
+from triform.types import SENSING_RANGE, convert_fields, require
 
 Settings = TypeVar("Settings", LidarConfig, Drive, Profile)
 
+#: Least and largest value and unit of every number; what lies outside is no robot.
+_ALLOWED = {
+    "range_noise": (0, 10, " m"),
+    "dropout": (0, 1, ""),
+    "scan_rate": (0.01, 10_000, " Hz"),
+    "latency": (0, 60, " s"),
+    "speed_limit": (1e-3, 100, " m/s"),
+    "acceleration": (1e-3, np.inf, " m/s^2"),
+    "lag": (0, 60, " s"),
+}
 #: How far a LiDAR reaches at most [m]; a robot uses 2 d* of it.
 LIDAR_REACH = 8.0
 
@@ -44,16 +54,13 @@ class Overrides:
     odometry: bool = True
 
     def __post_init__(self) -> None:
-        noise, dropout, rate = self.range_noise, self.dropout, self.scan_rate
-        latency, speed = self.latency, self.speed_limit
-        require(noise is None or 0 <= noise < np.inf, f"range_noise is {noise} m; it must be finite and not negative")
-        require(dropout is None or 0 <= dropout <= 1, f"dropout is {dropout}; it is a share between 0 and 1")
-        require(rate is None or 0 < rate < np.inf, f"scan_rate is {rate} Hz; it must be positive and finite")
-        require(latency is None or 0 <= latency < np.inf, f"latency is {latency} s; it must be finite and not negative")
-        require(speed is None or 0 < speed < np.inf, f"speed_limit is {speed} m/s; it must be positive and finite")
-        acceleration, lag = self.acceleration, self.lag
-        require(acceleration is None or acceleration > 0, f"acceleration is {acceleration} m/s^2; it must be positive")
-        require(lag is None or 0 <= lag < np.inf, f"lag is {lag} s; it must be finite and not negative")
+        convert_fields(self)
+        for name, (least, most, unit) in _ALLOWED.items():
+            value = getattr(self, name)
+            require(
+                value is None or least <= value <= most,
+                f"{name} is {value}{unit}; it must lie between {least:g} and {most:g}{unit}",
+            )
 
     def applied_to(self, profile: Profile, distance: float) -> Profile:
         """Return ``profile`` with these overrides, seeing as far as the prescribed ``distance`` d* needs: 2 d* [m].

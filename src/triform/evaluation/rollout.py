@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from triform.control import control_steps, drive
-from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, Team
+from triform.types import BoolArray, Controller, FloatArray, PrivilegedView, Team, as_array, require
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -31,6 +31,22 @@ class Trajectory:
     poses: FloatArray
     active: BoolArray
     commands: FloatArray
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            values, dtype = getattr(self, each.name), np.bool_ if each.name == "active" else np.float64
+            if type(values) is not np.ndarray or values.dtype != dtype:
+                object.__setattr__(self, each.name, as_array(f"{each.name} of a trajectory", values, dtype))
+        runs, records, robots = self.active.shape if self.active.ndim == 3 else (0, 0, 0)
+        require(
+            self.time.shape == (records,)
+            and self.poses.shape == (runs, records, robots, 3)
+            and self.commands.shape == (runs, records - 1, robots, 3)
+            and self.active.ndim == 3,
+            f"a trajectory has time of shape {self.time.shape}, poses of shape {self.poses.shape}, active of shape "
+            f"{self.active.shape} and commands of shape {self.commands.shape}; (T,), (B, T, N, 3), (B, T, N) and "
+            "(B, T - 1, N, 3) are needed",
+        )
 
     @property
     def positions(self) -> FloatArray:

@@ -9,7 +9,8 @@ from itertools import pairwise
 from typing import TypeVar
 
 from triform.engines import Engine, EngineName, Report, Task, check_engine, open_engine
-from triform.types import require
+from triform.limits import check_threads
+from triform.types import convert_fields
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -34,7 +35,8 @@ class Execution:
     ray_address: str | None = None
 
     def __post_init__(self) -> None:
-        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        convert_fields(self)
+        check_threads(self.threads)
         check_engine(self.engine, self.ray_address)
 
     def open_engine(self) -> AbstractContextManager[Engine]:

@@ -28,7 +28,9 @@ from triform.evaluation.placement import blocked_starts
 from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.runs import chunks
 from triform.kernels import kernels_were_compiled
-from triform.robots.gazebo import GazeboBase, GazeboServer, GazeboTeam, braked
+from triform.limits import require_at_most
+from triform.robots.chassis import BASES, Base, braked
+from triform.robots.gazebo import GazeboServer, GazeboTeam
 from triform.simulation import (
     Arena,
     Drive,
@@ -40,12 +42,23 @@ from triform.simulation import (
     sample_starts,
     world_seeds,
 )
-from triform.types import SENSING_RANGE, BoolArray, ConfigurationError, Controller, FloatArray, IntArray, require
+from triform.types import (
+    SENSING_RANGE,
+    BoolArray,
+    ConfigurationError,
+    Controller,
+    FloatArray,
+    IntArray,
+    convert_fields,
+    require,
+)
 
-SimulatorName = Literal["builtin", "gazebo"]
-SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "gazebo")
+SimulatorName = Literal["builtin", "mujoco", "gazebo"]
+SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "mujoco", "gazebo")
+#: A million seconds are eleven days.
+_LONGEST = 1_000_000
 #: Step of Gazebo's physics for each base [s].
-GAZEBO_STEPS: dict[GazeboBase, float] = {"planar": 0.01, "mecanum": 0.001}
+GAZEBO_STEPS: dict[Base, float] = {"planar": 0.01, "mecanum": 0.001}
 
 
 @dataclass(frozen=True)
@@ -60,9 +73,9 @@ class Scenario:
         event: What happens during a run: join, leave, push, stuck or meet, with its time, such as join@15.
         guard: Whether the safety filter between controller and wheels keeps robots from driving into what their scans
             show; it belongs to the scenario, whoever steers.
-        simulator: Simulator of the robots' bodies: builtin, or gazebo for Gazebo 11.
-        gazebo_base: How Gazebo moves a robot: by a force in the plane (planar), or on four mecanum wheels (mecanum),
-            whose physics takes steps of 1 ms and much longer.
+        simulator: Simulator of the robots' bodies: builtin, or with mass and contacts mujoco, or gazebo for Gazebo 11.
+        base: How MuJoCo and Gazebo move a robot: by a force in the plane (planar), or on four mecanum wheels (mecanum),
+            whose physics takes small steps and much longer.
         overrides: What replaces values of the profile.
     """
 
@@ -73,10 +86,11 @@ class Scenario:
     event: Event | None = None
     guard: bool = True
     simulator: SimulatorName = "builtin"
-    gazebo_base: GazeboBase = "planar"
+    base: Base = "planar"
     overrides: Overrides = field(default_factory=Overrides)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         farthest = LIDAR_REACH / SENSING_RANGE
         require(
             0 < self.distance <= farthest,
@@ -88,10 +102,12 @@ class Scenario:
             f"duration is {self.duration} s; a run is measured over its last {WINDOW:g} s, so it must be finite and at "
             "least that long",
         )
+        require_at_most("duration", self.duration, _LONGEST, " s")
         require(self.simulator in SIMULATORS, f"simulator is {self.simulator!r}; allowed are {', '.join(SIMULATORS)}")
+        require(self.base in BASES, f"base is {self.base!r}; allowed are {', '.join(BASES)}")
         require(
-            self.gazebo_base == "planar" or self.simulator == "gazebo",
-            f"gazebo_base is {self.gazebo_base!r}, but the built-in world has no wheels; it goes with simulator gazebo",
+            self.base == "planar" or self.simulator != "builtin",
+            f"base is {self.base!r}, but the built-in world has no wheels; it goes with simulator mujoco or gazebo",
         )
         event = self.event
         require(
@@ -115,7 +131,7 @@ class Scenario:
 
     @property
     def drive_limits(self) -> Drive:
-        """What the robots' base can do; Gazebo's robots cannot accelerate at will."""
+        """What the robots' base can do; robots with a mass cannot accelerate at will."""
         return self.robot.drive if self.simulator == "builtin" else braked(self.robot.drive)
 
     @property
@@ -184,7 +200,7 @@ class Scenario:
 
         Raises:
             ConfigurationError: The arena has no place for a start.
-            TriformError: Gazebo is missing or fails, or the controller does.
+            TriformError: The simulator is missing or fails, or the controller does.
         """
         driver = self.make_controller(controller)
         robots, event = poses.shape[1], self.event
@@ -276,8 +292,13 @@ class Scenario:
             yield slice(0, len(poses)), self.make_world(poses, seeds)
             return
         self.check_starts(poses)
-        spare, step = int(self.event is not None and self.event.kind == "join"), GAZEBO_STEPS[self.gazebo_base]
-        robots, base = poses.shape[1], self.gazebo_base
+        if self.simulator == "mujoco":
+            from triform.robots.mujoco import MujocoTeam
+
+            yield slice(0, len(poses)), MujocoTeam(poses, self.robot, self.surroundings, seeds, self.base)
+            return
+        spare, step = int(self.event is not None and self.event.kind == "join"), GAZEBO_STEPS[self.base]
+        robots, base = poses.shape[1], self.base
         with GazeboServer(self.robot, self.surroundings, robots, drive=base, time_step=step, spare=spare) as server:
             for index in range(len(poses)):
                 run = slice(index, index + 1)

@@ -22,7 +22,7 @@ from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
 from triform.report.tables import drop_columns
 from triform.simulation.noise import exploration_noise
-from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError
+from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError, convert_fields
 
 #: Name of all files.
 _NAME = "ablation"
@@ -147,6 +147,7 @@ class AblateConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_teams(self.robots, self.runs, self.seed, least=3)
 
     @property
@@ -187,17 +188,17 @@ def run_ablate(config: AblateConfig, listener: Listener = SILENT) -> list[Path]:
     Raises:
         TriformError: The folder cannot be written or holds something else.
     """
-    grid = open_grid(config.output, _NAME, config.cells)
-    variants = {label: asdict(variant) | {"law": asdict(variant.law)} for label, variant in VARIANTS.items()}
-    summaries = measure_in_folder(config, _NAME, grid, listener, {"variants": variants})
-    labels = list(dict.fromkeys(cell.labels["label"] for cell in grid.cells))
-    save_figure(ablation_figure(summaries, labels), config.output / f"{_NAME}.png")
-    section = make_section(config, summaries)
-    unshown = [heading for heading in section.headings if heading.startswith(_UNSHOWN)]
-    listener.table(section.title, *drop_columns(section.headings, section.rows, unshown))
-    pages = write_pages(config.output, "What the terms of the triangulating law are for", [section], _NAME)
-    say_written(listener, config.output, [section], pages)
-    return pages
+    with open_grid(config.output, _NAME, lambda _: config.cells) as grid:
+        variants = {label: asdict(variant) | {"law": asdict(variant.law)} for label, variant in VARIANTS.items()}
+        summaries = measure_in_folder(config, _NAME, grid, listener, {"variants": variants})
+        labels = list(dict.fromkeys(cell.labels["label"] for cell in grid.cells))
+        save_figure(ablation_figure(summaries, labels), config.output / f"{_NAME}.png")
+        section = make_section(config, summaries)
+        unshown = [heading for heading in section.headings if heading.startswith(_UNSHOWN)]
+        listener.table(section.title, *drop_columns(section.headings, section.rows, unshown))
+        pages = write_pages(config.output, "What the terms of the triangulating law are for", [section], _NAME)
+        say_written(listener, config.output, [section], pages)
+        return pages
 
 
 def make_section(config: AblateConfig, summaries: Sequence[dict[str, Any]]) -> Section:

@@ -13,8 +13,10 @@ from triform.control import ControllerSpec, control_steps
 from triform.engines import Report
 from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory
+from triform.evaluation.runs import chunks
 from triform.evaluation.scenario import Scenario
-from triform.experiments.settings import describe
+from triform.experiments.settings import describe, run_memory
+from triform.limits import require_memory
 from triform.report.output import plain
 from triform.types import Controller, FloatArray, IntArray
 from triform.version import __version__
@@ -71,6 +73,12 @@ class Cell:
         """Robots times control periods of all runs."""
         return self.scenario.steps * self.runs * self.robots
 
+    @property
+    def memory(self) -> float:
+        """About how much memory the starts, the measures and the runs of one chunk need [bytes]."""
+        largest = max(part.stop - part.start for part in chunks(self.runs, self.robots))
+        return run_memory(self.scenario, self.robots, largest) + self.runs * (500 + 50 * self.robots)
+
     def settings(self, controller: Controller[Any]) -> dict[str, Any]:
         """Return all that decides about the runs as plain JSON values, equal for cells that run the same."""
         scenario = self.scenario
@@ -79,7 +87,7 @@ class Cell:
         settings: dict[str, Any] = {name: described[name] for name in chosen}
         settings |= {"robots": self.robots, "runs": self.runs, "seed": self.seed, "triform": __version__}
         if scenario.simulator != "builtin":
-            settings |= {"team": scenario.simulator, "drive": scenario.gazebo_base}
+            settings |= {"team": scenario.simulator, "drive": scenario.base}
         if scenario.event is not None:
             settings |= {"event": asdict(scenario.event)}
         if self.starts is not None:
@@ -104,12 +112,14 @@ class Cell:
         """Find out now what a run would stumble over after hours.
 
         Raises:
-            ConfigurationError: A time is no whole number of control periods, or the arena has no place for a start.
+            ConfigurationError: A time is no whole number of control periods, the arena has no place for a start, or
+                the memory none for a chunk of runs.
         """
         scenario, period = self.scenario, self.scenario.robot.control_period
         control_steps(scenario.duration, period)
         if scenario.event is not None and scenario.event.interrupts:
             control_steps(scenario.event.time, period)
+        require_memory(self.memory, f"{self.name}, {scenario.duration:g} s")
         if self.starts is not None:
             scenario.check_starts(self.starts.poses)
         elif scenario.arena != "open":

@@ -12,12 +12,13 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import Grid, measure_in_folder, open_grid, spread_out
-from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, check_teams, for_team
+from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, MOST_RUNS, check_teams, for_team
+from triform.limits import require_at_most
 from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
 from triform.report.tables import drop_columns
 from triform.timing.step_time import TEAM, network_size, record_views, step_times, what_it_sees
-from triform.types import require
+from triform.types import convert_fields, require
 
 #: Name of all files.
 _NAME = "compare"
@@ -66,12 +67,14 @@ class CompareConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(len(self.controllers) > 0, "controllers is empty; at least one controller is needed")
         labels = [controller.label for controller in self.contestants]
         for label in labels:
             require(labels.count(label) == 1, f"controllers names {label} {labels.count(label)} times; once is enough")
         check_teams((*self.robots, *self.hardware_robots), self.runs, self.seed)
         require(self.large_runs >= 1, f"large_runs is {self.large_runs}; at least 1 is needed")
+        require_at_most("large_runs", self.large_runs, MOST_RUNS)
 
     @property
     def contestants(self) -> list[ControllerSpec]:
@@ -132,22 +135,22 @@ def run_compare(config: CompareConfig, listener: Listener = SILENT) -> list[Path
     Raises:
         TriformError: The folder cannot be written or holds something else, or nothing can be run.
     """
-    grid = open_grid(config.output, _NAME, config.cells)
-    with listener.progress("timing steps", 1):
-        costs = find_costs(config, grid)
-    controllers = [{"label": label} | asdict(each) for label, each in costs.items()]
+    with open_grid(config.output, _NAME, lambda _: config.cells) as grid:
+        with listener.progress("timing steps", 1):
+            costs = find_costs(config, grid)
+        controllers = [{"label": label} | asdict(each) for label, each in costs.items()]
 
-    def write(summaries: Sequence[dict[str, Any]]) -> tuple[list[Section], list[Path]]:
-        sections = list_sections(config, summaries, costs, grid.skipped)
-        return sections, write_pages(config.output, "Controllers side by side", sections, _NAME)
+        def write(summaries: Sequence[dict[str, Any]]) -> tuple[list[Section], list[Path]]:
+            sections = list_sections(config, summaries, costs, grid.skipped)
+            return sections, write_pages(config.output, "Controllers side by side", sections, _NAME)
 
-    more = {"controllers": controllers, "skipped": grid.skipped}
-    sections, pages = write(measure_in_folder(config, _NAME, grid, listener, more, on_summaries=write))
-    # The other tables are too wide for many terminals.
-    for section in sections[:2]:
-        listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
-    say_written(listener, config.output, sections, pages)
-    return pages
+        more = {"controllers": controllers, "skipped": grid.skipped}
+        sections, pages = write(measure_in_folder(config, _NAME, grid, listener, more, on_summaries=write))
+        # The other tables are too wide for many terminals.
+        for section in sections[:2]:
+            listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
+        say_written(listener, config.output, sections, pages)
+        return pages
 
 
 def find_costs(config: CompareConfig, grid: Grid) -> dict[str, Cost]:

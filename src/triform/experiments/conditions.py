@@ -22,11 +22,12 @@ from triform.experiments.settings import check_teams, for_team
 from triform.figures.grids import FailedRun, conditions_figure, failures_figure
 from triform.figures.runs import Scene
 from triform.figures.style import save_figure
+from triform.limits import require_at_most
 from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
 from triform.report.tables import drop_columns, format_value
 from triform.simulation import ARENAS, FOOTPRINTS, Footprint
-from triform.types import BoolArray, require
+from triform.types import BoolArray, convert_fields, require
 
 Condition = Literal[
     "range-noise", "dropped-rays", "scan-rate", "latency", "speed", "acceleration", "lag", "footprint", "arena",
@@ -36,6 +37,7 @@ CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 
 #: Name of all files but the drawing of failed runs.
 _NAME = "conditions"
+_MOST_DRAWN = 100
 #: Columns of the page that a terminal has no room for.
 _UNSHOWN = ("interval", "median error", "closest")
 
@@ -113,11 +115,13 @@ class ConditionsConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(len(self.which) > 0, "which is empty; at least one condition is needed")
         for condition in self.which:
             require(condition in CONDITIONS, f"there is no condition {condition!r}; there are {', '.join(CONDITIONS)}")
         check_teams(self.robots, self.runs, self.seed, least=2)
         require(self.failures >= 0, f"failures is {self.failures}; it must not be negative")
+        require_at_most("failures", self.failures, _MOST_DRAWN)
         if "event" in self.which:
             _ = self.list_cells({"event"})
 
@@ -200,24 +204,27 @@ def run_conditions(config: ConditionsConfig, listener: Listener = SILENT) -> lis
     Raises:
         TriformError: The folder cannot be written or holds something else, or nothing can be run.
     """
-    shown = {*config.which, *read_labels(config.output / f"{_NAME}.parquet", "condition")}
-    grid = open_grid(config.output, _NAME, config.list_cells(shown))
-    more, without = {"skipped": grid.skipped}, ("output", "failures")
-    summaries = measure_in_folder(config, _NAME, grid, listener, more, without)
-    with listener.progress("drawing", 1):
-        failures = failed_runs(grid, config.failures)
-        headings: dict[str, str] = {name: sweep.heading for name, sweep in SWEEPS.items()}
-        save_figure(conditions_figure(summaries, headings), config.output / f"{_NAME}.png")
-        if failures:
-            save_figure(failures_figure(failures), config.output / "failures.png")
-    privileged = grid.controller(grid.cells[0]).privileged
-    sections = list_sections(config, summaries, grid.skipped, len(failures), privileged)
-    for section in sections:
-        if section.rows:
-            listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
-    pages = write_pages(config.output, "Under many conditions", sections, _NAME)
-    say_written(listener, config.output, sections, pages)
-    return pages
+
+    def list_cells(path: Path) -> list[Cell]:
+        return config.list_cells({*config.which, *read_labels(path, "condition")})
+
+    with open_grid(config.output, _NAME, list_cells) as grid:
+        more, without = {"skipped": grid.skipped}, ("output", "failures")
+        summaries = measure_in_folder(config, _NAME, grid, listener, more, without)
+        with listener.progress("drawing", 1):
+            failures = failed_runs(grid, config.failures)
+            headings: dict[str, str] = {name: sweep.heading for name, sweep in SWEEPS.items()}
+            save_figure(conditions_figure(summaries, headings), config.output / f"{_NAME}.png")
+            if failures:
+                save_figure(failures_figure(failures), config.output / "failures.png")
+        privileged = grid.controller(grid.cells[0]).privileged
+        sections = list_sections(config, summaries, grid.skipped, len(failures), privileged)
+        for section in sections:
+            if section.rows:
+                listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
+        pages = write_pages(config.output, "Under many conditions", sections, _NAME)
+        say_written(listener, config.output, sections, pages)
+        return pages
 
 
 #: Heading, key in a summary and format of the columns after value, robots, runs and intervals.

@@ -9,15 +9,16 @@ from pathlib import Path
 from triform.control import POLICY, ControllerSpec
 from triform.evaluation.metrics import summarise
 from triform.evaluation.scenario import Scenario
-from triform.experiments.settings import check_teams, describe, flat
+from triform.experiments.settings import check_teams, describe, flat, run_memory
 from triform.figures.animation import animate
 from triform.figures.runs import Scene, run_figure
 from triform.figures.style import save_figure
+from triform.limits import LARGEST_INDEX, check_threads, require_at_most, require_memory
 from triform.report.listener import SILENT, Listener
-from triform.report.output import prepare_folder, write_json
+from triform.report.output import own_folder, write_json
 from triform.report.tables import WIDE, legend, summary_rows
 from triform.threads import limit_threads
-from triform.types import require
+from triform.types import convert_fields, require
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,11 @@ class DemoConfig:
     scenario: Scenario = field(default_factory=Scenario)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_teams((self.robots,), 1, self.seed)
         require(self.index >= 0, f"index is {self.index}; it must not be negative")
-        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        require_at_most("index", self.index, LARGEST_INDEX)
+        check_threads(self.threads)
 
 
 def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
@@ -62,32 +65,37 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     Raises:
         TriformError: The folder cannot be written, or a name in the configuration is unknown.
     """
-    prepare_folder(config.output)
     scenario, label = config.scenario, config.controller.label
-    controller = scenario.make_controller(config.controller)
-    poses = scenario.sample_starts(config.robots, 1, config.seed, first=config.index)
-    bar = listener.progress(f"{config.robots} robots, {scenario.duration:g} s", scenario.steps * config.robots)
-    with limit_threads(config.threads), bar as advance:
-        scenario.warm_up(poses, controller)
-        began = time.perf_counter()
-        trajectory, table = scenario.run(poses, controller, config.seed, [config.index], advance)
-    took = time.perf_counter() - began
-    result = {"robots": config.robots, **summarise(table)}
-    headings, rows = summary_rows([result], WIDE)
-    title = f"{label}: {scenario.duration:g} s simulated in {took:.1f} s"
-    listener.table(title, headings, rows, legend(headings))
-    if config.robots < 3:
-        listener.say("a team of one or two robots has no triangle, so it can be a success but never strict")
+    # Figures hold the graphs of all records.
+    graphs = 2.0 * scenario.steps * config.robots**2
+    require_memory(run_memory(scenario, config.robots) + graphs, f"a run of {config.robots} robots")
+    with own_folder(config.output):
+        controller = scenario.make_controller(config.controller)
+        poses = scenario.sample_starts(config.robots, 1, config.seed, first=config.index)
+        bar = listener.progress(f"{config.robots} robots, {scenario.duration:g} s", scenario.steps * config.robots)
+        with limit_threads(config.threads), bar as advance:
+            scenario.warm_up(poses, controller)
+            began = time.perf_counter()
+            trajectory, table = scenario.run(poses, controller, config.seed, [config.index], advance)
+        took = time.perf_counter() - began
+        result = {"robots": config.robots, **summarise(table)}
+        headings, rows = summary_rows([result], WIDE)
+        title = f"{label}: {scenario.duration:g} s simulated in {took:.1f} s"
+        listener.table(title, headings, rows, legend(headings))
+        if config.robots < 3:
+            listener.say("a team of one or two robots has no triangle, so it can be a success but never strict")
 
-    scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
-    with listener.progress("drawing", 1):
-        figure = run_figure(trajectory, scene, f"{config.robots} robots, controller {label}")
-        settings = flat(config, without=("output", "threads")) | describe(scenario, controller)
-        paths = [
-            save_figure(figure, config.output / "demo.png"),
-            animate(trajectory, scene, config.output / "demo.gif"),
-            write_json(config.output / "demo.json", {"config": settings, "wall_seconds": took, "results": [result]}),
-        ]
-    for path in paths:
-        listener.say(f"wrote {path}")
-    return paths
+        scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
+        with listener.progress("drawing", 1):
+            figure = run_figure(trajectory, scene, f"{config.robots} robots, controller {label}")
+            settings = flat(config, without=("output", "threads")) | describe(scenario, controller)
+            paths = [
+                save_figure(figure, config.output / "demo.png"),
+                animate(trajectory, scene, config.output / "demo.gif"),
+                write_json(
+                    config.output / "demo.json", {"config": settings, "wall_seconds": took, "results": [result]}
+                ),
+            ]
+        for path in paths:
+            listener.say(f"wrote {path}")
+        return paths

@@ -18,6 +18,7 @@ from triform.experiments.settings import check_teams, describe, flat
 from triform.report.listener import SILENT, Listener
 from triform.report.results import Evaluation, ResultFiles, show_results
 from triform.simulation import load_starts
+from triform.types import convert_fields
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class EvaluateConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_teams(self.robots, self.runs, self.seed)
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,10 @@ from triform.engines import Engine, Report
 from triform.evaluation.metrics import RunTable, concatenate, summarise, wilson_interval
 from triform.evaluation.runs import Execution, by_group, chunks
 from triform.experiments.cell import Cell
-from triform.experiments.settings import digest, flat
+from triform.experiments.settings import digest, flat, warn_of_time
 from triform.geometry.cells import SMALL_TEAM
 from triform.report.listener import SILENT, Listener
-from triform.report.output import prepare_folder, write_json
+from triform.report.output import own_folder, write_json
 from triform.report.tables import format_value, read_parquet, require_parquet, write_parquet
 from triform.simulation import sample_starts
 from triform.threads import limit_threads
@@ -212,6 +212,7 @@ def measure_grid(
     """
     for name, reason in grid.skipped.items():
         listener.say(f"left out: {name}: {reason}")
+    warn_of_time(sum(cell.work for cell in grid.waiting), execution.threads, listener)
     grid.warm_up()
     began = time.perf_counter()
     with (
@@ -226,15 +227,23 @@ def measure_grid(
     on_cell(time.perf_counter() - began)
 
 
-def open_grid(folder: Path, name: str, cells: Sequence[Cell]) -> Grid:
-    """Return the grid of an experiment that keeps its runs in ``folder``, from which it goes on where it was stopped.
+@contextmanager
+def open_grid(folder: Path, name: str, list_cells: Callable[[Path], Sequence[Cell]]) -> Iterator[Grid]:
+    """Hold a folder for an experiment alone, and give the grid whose runs it keeps and from which it goes on.
+
+    Args:
+        folder: The folder.
+        name: Name of the file of runs, without its ending.
+        list_cells: Takes the path of that file, and returns the cells.
 
     Raises:
-        TriformError: The folder cannot be written or holds something else, or nothing can be run.
+        TriformError: Another process works in the folder, it cannot be written or holds something else, or nothing can
+            be run.
     """
-    prepare_folder(folder)
     require_parquet()
-    return Grid(cells, folder / f"{name}.parquet")
+    path = folder / f"{name}.parquet"
+    with own_folder(folder):
+        yield Grid(list_cells(path), path)
 
 
 def measure_in_folder(

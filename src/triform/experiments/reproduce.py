@@ -21,12 +21,13 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.compare import REAL_PROFILE
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.experiments.settings import check_teams, describe, flat
+from triform.experiments.settings import check_teams, describe, flat, run_memory
 from triform.figures.paper import figure_2, figure_9
 from triform.figures.runs import Scene, TeamChange, figure_3, figure_4, figure_5
 from triform.figures.style import save_figure
+from triform.limits import require_memory
 from triform.report.listener import SILENT, Listener
-from triform.report.output import prepare_folder, write_json
+from triform.report.output import own_folder, write_json
 from triform.report.page import Section, read_sections, spell_command, write_pages
 from triform.report.results import Evaluation
 from triform.report.tables import (
@@ -41,7 +42,7 @@ from triform.report.tables import (
     write_parquet,
 )
 from triform.threads import limit_threads
-from triform.types import ConfigurationError, Controller, PrivilegedView, require
+from triform.types import ConfigurationError, Controller, PrivilegedView, convert_fields, require
 
 What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "all"]
 KEYS = [key for key in get_args(What) if key != "all"]
@@ -86,11 +87,13 @@ class ReproduceConfig:
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.what in (*KEYS, "all"), f"what is {self.what!r}; allowed are {', '.join(KEYS)} and all")
         check_teams(SIZES, self.runs, self.seed)
         scenario = self.scenario
         require(scenario.event is None, "the paper's results have no event but those of Fig. 5; leave event out")
         # What the last result would stumble over after hours.
+        require_memory(run_memory(scenario, max(SIZES), _CANDIDATES), f"a run of {scenario.duration:g} s")
         control_steps(scenario.duration, scenario.robot.control_period)
         if self.what in ("fig5", "all"):
             _ = replace(scenario, event=Event("join"))
@@ -144,10 +147,10 @@ def run_reproduce(config: ReproduceConfig, listener: Listener = SILENT) -> list[
     Raises:
         TriformError: The folder cannot be written, or a name in the configuration is unknown.
     """
-    prepare_folder(config.output)
     require_parquet()
     pages: list[Path] = []
-    with limit_threads(config.execution.threads), config.execution.open_engine() as engine:
+    execution = config.execution
+    with own_folder(config.output), limit_threads(execution.threads), execution.open_engine() as engine:
         for key, make in _Reproduction(config, listener, engine).makers.items():
             section = _write(config, key, make())
             # After every result, so that an interrupted reproduction leaves a page over what is done.

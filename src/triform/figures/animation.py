@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from pathlib import Path
 from typing import Any, cast
 
@@ -36,6 +37,8 @@ _GREYS = 32
 _TINTS = (1.0, 0.85, 0.7, 0.55, 0.45, 0.35, 0.25, 0.12)
 _COLOURED = 28
 _FRAME_MS = 50
+#: All frames are in memory at once.
+_MOST_FRAMES = 1000
 _LAST_FRAME_MS = 2000
 _TRAIL = 4.0
 
@@ -50,7 +53,7 @@ def animate(trajectory: Trajectory, scene: Scene, path: Path, speed: float = 4.0
         trajectory: The run.
         scene: Footprint, arena and prescribed distance.
         path: File to write, atomically.
-        speed: How many times faster than real the animation runs.
+        speed: How many times faster than real the animation runs, at least; more if it had more than 1,000 frames.
 
     Returns:
         ``path``.
@@ -58,7 +61,8 @@ def animate(trajectory: Trajectory, scene: Scene, path: Path, speed: float = 4.0
     Raises:
         TriformError: The file cannot be written.
     """
-    stride = max(1, round(speed * _FRAME_MS / 1000 / trajectory.period))
+    wanted = max(1, round(speed * _FRAME_MS / 1000 / trajectory.period))
+    stride = max(wanted, math.ceil(len(trajectory.time) / _MOST_FRAMES))
     records = list(range(0, len(trajectory.time), stride))
     if records[-1] != len(trajectory.time) - 1:
         records.append(len(trajectory.time) - 1)

@@ -24,7 +24,7 @@ from triform.geometry.cells import SMALL_TEAM, extended, list_cells, make_cells
 from triform.geometry.gabriel_kernels import list_neighbours, make_workspace
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import BoolArray, FloatArray, require
+from triform.types import BoolArray, ConfigurationError, FloatArray, as_array, converted, require
 
 #: Robots that keep a thread busy for a few milliseconds, in small teams and in large ones.
 ROBOTS_PER_THREAD = 10_000
@@ -193,10 +193,13 @@ def checked_points(positions: FloatArray, active: BoolArray | None, max_range: f
         ConfigurationError: If the shapes do not fit, the position of an active robot is not finite or ``max_range``
             is negative.
     """
-    require(max_range >= 0, f"max_range is {max_range} m; it must not be negative")
-    points = np.ascontiguousarray(positions, dtype=np.float64)
+    require(converted("max_range", max_range, float) >= 0, f"max_range is {max_range} m; it must not be negative")
+    points = as_array("positions", positions)
     require(points.ndim >= 2 and points.shape[-1] == 2, f"positions have shape {points.shape}; (..., N, 2) is needed")
-    present = True if active is None else active
-    mask = np.ascontiguousarray(np.broadcast_to(present, points.shape[:-1]), dtype=np.bool_)
+    present = as_array("flags of active robots", True if active is None else active, np.bool_)
+    try:
+        mask = np.ascontiguousarray(np.broadcast_to(present, points.shape[:-1]))
+    except ValueError:
+        raise ConfigurationError(f"active has shape {present.shape}; {points.shape[:-1]} is needed") from None
     require(bool(np.isfinite(points[mask]).all()), "positions of active robots must be finite")
     return points, mask

@@ -10,7 +10,7 @@ import numpy as np
 from triform.geometry.cells import smallest_distance_of, squared_distance
 from triform.geometry.gabriel import checked_points, gabriel_lists, per_world
 from triform.kernels import kernel
-from triform.types import BoolArray, FloatArray, IntArray, require
+from triform.types import BoolArray, FloatArray, IntArray, converted, require
 
 #: An edge is right when its length is within this share of the prescribed distance.
 EDGE_TOLERANCE = 0.1
@@ -167,7 +167,7 @@ def assess(
     Raises:
         ConfigurationError: If the positions are malformed or ``distance`` is not positive.
     """
-    require(distance > 0, f"distance is {distance} m; it must be positive")
+    require(converted("distance", distance, float) > 0, f"distance is {distance} m; it must be positive")
     points, mask = checked_points(positions, active, max_range)
     kernel = partial(_assess_worlds, float(distance), float(max_range))
     return Quality(*per_world(kernel, points, mask, np.float64, np.int64, np.bool_, np.bool_, np.float64))
@@ -177,7 +177,7 @@ def edge_error(
     positions: FloatArray, distance: float = 1.0, max_range: float = np.inf, active: BoolArray | None = None
 ) -> FloatArray:
     """Mean relative edge error ``E_g / d*`` alone, for long series; arguments and errors as ``assess``."""
-    require(distance > 0, f"distance is {distance} m; it must be positive")
+    require(converted("distance", distance, float) > 0, f"distance is {distance} m; it must be positive")
     points, mask = checked_points(positions, active, max_range)
     return per_world(partial(_edge_error_worlds, float(distance), float(max_range)), points, mask, np.float64)[0]
 

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 from triform.decode import checksum, decode_fields, decode_json
 from triform.files import exclusive, make_folder, remove_temporaries, sha256, write_atomically
 from triform.policy.config import GnnConfig, Network, describe_network, read_network
-from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError, require
+from triform.types import ConfigurationError, MapConfig, ScanConfig, TriformError, convert_fields, require
 
 _FORMAT = "triform-policy"
 #: Of descriptions that are written; those of version 1, which have no checksum of their own, are read too.
@@ -66,6 +66,7 @@ class PolicySpec:
     precision: Precision = "float32"
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(
             self.network.fits(self.map),
             f"the network reads maps of another size than the {self.map.size} cells of the map configuration",

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 from triform.decode import decode_fields
-from triform.types import ConfigurationError, MapConfig, choose, require
+from triform.types import ConfigurationError, MapConfig, choose, convert_fields, require
 
 #: Largest count in a shape; larger ones are mistakes, and would fill the memory before they are found out.
 _MOST = 4096
@@ -16,6 +16,7 @@ class _Shape:
     """Base of all shapes: counts are within limits, and a network fits maps unless it reads others."""
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for each in fields(self):  # type: ignore[arg-type]
             value = getattr(self, each.name)
             require(

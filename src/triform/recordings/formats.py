@@ -114,6 +114,8 @@ def read_array(path: Path, rate: float | None) -> list[RawRun]:
         raise TriformError(
             f"{path} holds {values.dtype} of shape {values.shape}; poses of shape (T, N, 3) or (B, T, N, 3) are needed"
         )
+    if values.size == 0:
+        raise TriformError(f"{path} holds no pose: its shape is {values.shape}")
     runs = np.asarray(values if values.ndim == 4 else values[None], dtype=np.float64)
     labels = [str(path)] if values.ndim == 3 else [f"{path}, run {run}" for run in range(len(runs))]
     time = np.arange(runs.shape[1]) / rate

@@ -12,6 +12,7 @@ import numpy as np
 
 from triform.evaluation.metrics import RunTable, concatenate, measure
 from triform.evaluation.rollout import Trajectory
+from triform.limits import check_threads
 from triform.recordings.resample import Recording, read_recordings
 from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_folder
@@ -20,7 +21,7 @@ from triform.simulation import Arena, Footprint
 from triform.simulation.ray_kernels import Scene
 from triform.simulation.world_kernels import Contacts, record_contacts
 from triform.threads import limit_threads
-from triform.types import TriformError, require
+from triform.types import TriformError, convert_fields, require
 from triform.version import __version__
 
 #: Robots are not farther from their neighbours, or closer to them, than the prescribed distance by this factor.
@@ -57,6 +58,7 @@ class MeasureConfig:
     threads: int | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(len(self.files) > 0, "no file is named; name the recorded runs to measure")
         require(0 < self.distance < np.inf, f"distance is {self.distance} m; it must be positive and finite")
         arrays = any(path.suffix == ".npy" for path in self.files)
@@ -69,7 +71,7 @@ class MeasureConfig:
         require(self.rate is None or 0 < self.rate < np.inf, f"rate is {self.rate} Hz; it must be positive and finite")
         require(0 <= self.start < np.inf, f"start is {self.start} s; it must be finite and not negative")
         require(self.end is None or self.end > self.start, f"end is {self.end} s; it must be later than start")
-        require(self.threads is None or self.threads >= 1, f"threads is {self.threads}; at least 1 is needed")
+        check_threads(self.threads)
         _ = self.outline
 
     @property

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import math
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from triform.files import write_atomically
+from triform.files import exclusive, write_atomically
 from triform.types import TriformError
 
 
@@ -30,14 +32,28 @@ def prepare_folder(folder: Path) -> Path:
     return folder
 
 
+@contextmanager
+def own_folder(folder: Path) -> Iterator[None]:
+    """Hold an output folder, which is created, for this process alone.
+
+    Raises:
+        TriformError: It cannot be created or written, or another process writes into it.
+    """
+    prepare_folder(folder)
+    with exclusive(folder):
+        yield
+
+
 def prepare_file(path: Path) -> Path:
     """Make sure that the result file ``path`` can be written, creating its folder.
 
     Raises:
-        TriformError: ``path`` is a folder, or its folder cannot be created or written.
+        TriformError: ``path`` is a folder or a device, or its folder cannot be created or written.
     """
     if path.is_dir():
         raise TriformError(f"cannot write the result file {path}: it is a folder, a file name is needed")
+    if path.exists() and not path.is_file():
+        raise TriformError(f"cannot write the result file {path}: it is a device or the like, and would be replaced")
     prepare_folder(path.parent)
     return path
 

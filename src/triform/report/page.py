@@ -87,7 +87,7 @@ def read_sections(folder: Path, keys: list[str]) -> list[Section]:
         try:
             values = json.loads(path.read_text(encoding="utf-8"))["section"]
             sections.append(Section(**{field.name: values[field.name] for field in fields(Section)}))
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise TriformError(
                 f"{path} was not written by triform reproduce; remove it or choose another output folder"
             ) from error

@@ -35,7 +35,7 @@ from triform.robots.robomaster import USB_ADDRESS, WIFI_ADDRESS, RoboMaster
 from triform.signals import StopSignals
 from triform.simulation import Drive, Footprint, Mounting, Placement, Profile, get_profile, read_sectors
 from triform.threads import limit_threads
-from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, require
+from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, convert_fields, require
 
 #: How long a LiDAR may take to give its first scan, because it has to start turning [s].
 _FIRST_SCAN = 8.0
@@ -58,8 +58,8 @@ class DriveConfig:
         profile: Robot profile, whose footprint, speed, lag and latency hold: a name or a TOML file.
         max_speed: Largest speed along x and along y [m/s]; the profile's if omitted.
         max_turn_rate: Largest turn rate [rad/s].
-        watchdog: How long the base holds a command that no newer one has followed [s]; at least two control periods,
-            because an answer of the base may take half of it.
+        watchdog: How long the base holds a command that no newer one follows [s]; at least two control periods, because
+            the base has to confirm a newer one within this time.
         duration: How long to drive [s]; until Ctrl-C if omitted.
         dry_run: Whether commands are shown and not sent; no base is needed then.
         record: Folder for a recording.
@@ -105,6 +105,7 @@ class DriveConfig:
     guard: bool = True
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         self.kind.require_holonomic("triform drive with its RoboMaster")
         farthest = self.model.range_max / SENSING_RANGE
         require(
@@ -216,8 +217,11 @@ class DriveConfig:
             return controller
         lag, period = self.kind.drive.lag, self.control_period
         reaction = reaction_time(period, self.model.period, self.kind.latency, rolling=True, lag=lag)
-        limits = {"max_speed": self.limits.max_speed, "max_axis_speed": self.limits.max_axis_speed}
-        return SafetyFilter(controller, SafetySettings(self.outline, reaction=reaction, **limits))
+        speed, axis_speed = self.limits.max_speed, self.limits.max_axis_speed
+        return SafetyFilter(
+            controller,
+            SafetySettings(self.outline, reaction=reaction, max_speed=speed, max_axis_speed=axis_speed),
+        )
 
 
 class DriveListener(Protocol):

@@ -36,7 +36,7 @@ from triform.simulation import (
     sample_starts,
 )
 from triform.simulation.odometry import relative_poses
-from triform.types import SENSING_RANGE, FloatArray, ScanConfig, require
+from triform.types import SENSING_RANGE, FloatArray, ScanConfig, convert_fields, require
 
 #: Robots and rays move on by so much at a time [s].
 STEP = 0.01
@@ -81,6 +81,7 @@ class EmulateConfig:
     record: Path | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(1 <= self.robots <= _MOST_ROBOTS, f"robots is {self.robots}; 1 to {_MOST_ROBOTS} can be emulated")
         require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
         require(self.index >= 0, f"index is {self.index}; it must not be negative")

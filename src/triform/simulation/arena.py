@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from triform.types import FloatArray, choose, require
+from triform.types import FloatArray, as_array, choose, convert_fields, converted, require
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,9 @@ class Arena:
     pillars: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name, columns in (("walls", 4), ("pillars", 3)):
-            values = np.array(getattr(self, name), dtype=np.float64, order="C")
+            values = np.array(as_array(name, getattr(self, name)))
             require(
                 values.ndim == 2 and values.shape[1] == columns and bool(np.isfinite(values).all()),
                 f"{name} of shape {values.shape} given; a table of {columns} finite columns is needed",
@@ -48,7 +49,8 @@ class Arena:
         Raises:
             ConfigurationError: If a side is not positive.
         """
-        require(width > 0 and height > 0, f"a room of {width} m x {height} m; both sides must be positive")
+        sides = converted("width", width, float), converted("height", height, float)
+        require(min(sides) > 0, f"a room of {width} m x {height} m; both sides must be positive")
         left, right = center[0] - width / 2, center[0] + width / 2
         low, high = center[1] - height / 2, center[1] + height / 2
         return cls(name, walls_around(np.array([[left, low], [right, low], [right, high], [left, high]])))
@@ -83,6 +85,7 @@ def get_arena(name: str) -> Arena:
     Raises:
         ConfigurationError: There is no such arena, or the file holds what is not allowed.
     """
+    name = converted("arena", name, str)
     if name.endswith(".toml"):
         from triform.simulation.arena_file import read_arena
 

@@ -14,7 +14,7 @@ from triform.geometry.unicycle import roll
 from triform.kernels import kernel
 from triform.simulation.drive_kernels import advance_pose, drive_team, limit_twist
 from triform.simulation.profiles import Drive
-from triform.types import FloatArray, require
+from triform.types import FloatArray, as_array, converted, require
 
 #: Radius of a RoboMaster EP's wheels [m].
 WHEEL_RADIUS = 0.05
@@ -40,12 +40,11 @@ def integrate(poses: FloatArray, twists: FloatArray, duration: float) -> FloatAr
         Poses after ``duration``, headings in [-pi, pi).
 
     Raises:
-        ConfigurationError: If the shapes differ.
+        ConfigurationError: If the shapes differ, or something is no number.
     """
-    moved = np.array(poses, dtype=np.float64, order="C")
-    held = np.ascontiguousarray(twists, dtype=np.float64)
+    moved, held = np.array(as_array("poses", poses)), as_array("twists", twists)
     _check_pair("poses", moved, "twists", held)
-    _integrate_into(moved.reshape(-1, 3), held.reshape(-1, 3), float(duration))
+    _integrate_into(moved.reshape(-1, 3), held.reshape(-1, 3), float(converted("duration", duration, float)))
     return moved
 
 
@@ -69,8 +68,12 @@ def limit_twists(twists: FloatArray, drive: Drive) -> FloatArray:
 
     Holonomic: the translation is shortened to ``max_speed`` in its own direction; then x and y are each clipped to
     ``max_axis_speed`` and the turn rate to ``max_turn_rate``. Differential: ``triform.geometry.unicycle.roll``.
+
+    Raises:
+        ConfigurationError: If the twists are malformed.
     """
-    limited = np.array(twists, dtype=np.float64, order="C")
+    limited = np.array(as_array("twists", twists))
+    require(limited.shape[-1:] == (3,), f"twists of shape {limited.shape} given; (..., 3) is needed")
     wheels = drive.wheels
     if wheels is not None:
         _roll_into(limited.reshape(-1, 3), wheels)
@@ -98,15 +101,19 @@ def steer(
         Poses and velocities after ``duration``.
 
     Raises:
-        ConfigurationError: If the shapes differ.
+        ConfigurationError: If the shapes differ, or something is no number.
     """
-    moved = np.array(poses, dtype=np.float64, order="C")
-    reached = np.array(velocities, dtype=np.float64, order="C")
+    moved, reached = np.array(as_array("poses", poses)), np.array(as_array("velocities", velocities))
     targets = limit_twists(commands, drive)
     _check_pair("poses", moved, "velocities", reached)
     _check_pair("poses", moved, "commands", targets)
     teams = [each.reshape(-1, 3) for each in (moved, reached, targets)]
-    drive_team(*teams, np.ones(len(teams[0]), dtype=np.bool_), drive_limits(drive), float(duration))
+    drive_team(
+        *teams,
+        np.ones(len(teams[0]), dtype=np.bool_),
+        drive_limits(drive),
+        float(converted("duration", duration, float)),
+    )
     return moved, reached
 
 

@@ -14,7 +14,7 @@ from triform.simulation.moving_ray_kernels import cast_moving_worlds
 from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
 from triform.simulation.ray_kernels import ScanRays, Scene
 from triform.threads import in_parts, usable_threads
-from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig
+from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, as_array
 
 __all__ = ["angle_offsets", "apply_noise", "cast_rolling", "cast_scans", "cast_world", "noise_sigma", "scan_rays"]
 
@@ -24,13 +24,15 @@ RAYS_PER_THREAD = 1_000_000
 MOVING_RAYS_PER_THREAD = 50_000
 
 
-def _check_batch(poses: FloatArray, active: BoolArray) -> None:
+def _checked_batch(poses: FloatArray, active: BoolArray) -> tuple[FloatArray, BoolArray]:
+    poses, active = as_array("poses", poses), as_array("flags of active robots", active, np.bool_)
     if poses.ndim != 3 or poses.shape[2] != 3 or active.shape != poses.shape[:2]:
         raise ConfigurationError(
             f"poses of shape {poses.shape} and active of shape {active.shape} given; (B, N, 3) and (B, N) are needed"
         )
     if not np.isfinite(poses[active]).all():
         raise ConfigurationError("the poses of active robots must be finite")
+    return poses, active
 
 
 @functools.lru_cache(maxsize=16)
@@ -72,10 +74,9 @@ def cast_scans(
     """
     if offsets is not None:
         return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye)
-    _check_batch(poses, active)
-    worlds, robots = active.shape
+    places, mask = _checked_batch(poses, active)
+    worlds, robots = mask.shape
     ranges = np.empty((worlds, robots, config.rays), dtype)
-    places, mask = np.ascontiguousarray(poses, dtype=np.float64), np.ascontiguousarray(active)
     scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
     if robots <= SMALL_TEAM or worlds >= usable_threads():
         in_parts(
@@ -132,22 +133,18 @@ def cast_rolling(
     Raises:
         ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
-    _check_batch(start, active)
-    _check_batch(end, active)
+    placed, mask = _checked_batch(start, active)
+    end = placed if end is start else _checked_batch(end, active)[0]
+    start = placed
     shape = (*start.shape[:2], config.rays)
-    errors = np.empty((*shape[:2], 0)) if offsets is None else np.ascontiguousarray(offsets, dtype=np.float64)
+    errors = np.empty((*shape[:2], 0)) if offsets is None else as_array("angle offsets", offsets)
     if offsets is not None and errors.shape != shape:
         raise ConfigurationError(f"angle offsets of shape {errors.shape} given; {shape} is needed")
     ranges = np.full(shape, np.inf, dtype)
     share_step = 0.0 if start is end else 1.0 / config.rays
-    ends = [np.ascontiguousarray(poses, dtype=np.float64) for poses in (start, end)]
-    mask, scene, rays = (
-        np.ascontiguousarray(active),
-        Scene(footprint.body, arena.walls, arena.pillars),
-        scan_rays(config, *eye),
-    )
+    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
     in_parts(
-        lambda first, last: cast_moving_worlds(*ends, mask, scene, rays, errors, share_step, ranges, first, last),
+        lambda first, last: cast_moving_worlds(start, end, mask, scene, rays, errors, share_step, ranges, first, last),
         len(ranges), ranges.size, MOVING_RAYS_PER_THREAD,
     )  # fmt: skip
     return ranges

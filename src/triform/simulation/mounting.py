@@ -14,7 +14,16 @@ from typing import Any
 import numpy as np
 
 from triform.kernels import kernel
-from triform.types import Body, BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, require
+from triform.types import (
+    Body,
+    BoolArray,
+    ConfigurationError,
+    FloatArray,
+    RangeArray,
+    ScanConfig,
+    convert_fields,
+    require,
+)
 
 #: Neighbouring returns this close to each other are of one surface [m].
 _ONE_SURFACE = 0.1
@@ -42,6 +51,7 @@ class Mounting:
     blind_sectors: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(
             math.isfinite(self.x) and math.isfinite(self.y),
             f"the LiDAR is mounted at x {self.x} m and y {self.y} m; both must be finite",

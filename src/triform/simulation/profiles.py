@@ -10,7 +10,15 @@ import numpy as np
 
 from triform.geometry.unicycle import Wheels
 from triform.simulation.mounting import Mounting
-from triform.types import Body, ConfigurationError, FloatArray, ScanConfig, nearest, require
+from triform.types import (
+    Body,
+    ConfigurationError,
+    FloatArray,
+    ScanConfig,
+    convert_fields,
+    nearest,
+    require,
+)
 
 #: Kinds of bases.
 BASES = ("holonomic", "differential")
@@ -35,6 +43,7 @@ class Footprint:
     width: float
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.shape in ("box", "circle"), f"footprint shape is {self.shape!r}; allowed are box, circle")
         require(
             _is_positive(self.length) and _is_positive(self.width),
@@ -124,8 +133,8 @@ class Footprint:
 #: DJI RoboMaster EP.
 ROBOMASTER_EP = Footprint.box(0.320, 0.240)
 
-#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, centred on the
-#: LiDAR as all footprints are; circles are named after their radius in centimetres, the box after its side.
+#: Footprints by name. The engineer is a RoboMaster EP with its arm, 410 mm x 240 mm by its data sheet, around its
+#: centre as all footprints are; circles are named after their radius in centimetres, the box after its side.
 FOOTPRINTS = {
     "ep": ROBOMASTER_EP,
     "engineer": Footprint.box(0.410, 0.240),
@@ -152,6 +161,7 @@ class NoiseBand:
     relative: float = 0.0
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(self.up_to > 0, f"a noise band ends at {self.up_to} m; it must be positive")
         require(
             0 <= self.absolute < math.inf and 0 <= self.relative < math.inf,
@@ -180,6 +190,7 @@ class LidarConfig:
     period: float = 0.1
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         ends = [band.up_to for band in self.noise]
         require(
             not ends or (ends == sorted(set(ends)) and ends[-1] == math.inf),
@@ -229,6 +240,7 @@ class Drive:
     reverse: bool = True
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in (
             "max_speed", "max_axis_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration",
             "max_wheel_speed",
@@ -264,8 +276,10 @@ class Drive:
         if not self.is_differential:
             return None
         speed = min(self.max_speed, self.max_axis_speed)
-        limits = map(float, (speed, self.max_turn_rate, self.track / 2, self.max_wheel_speed))
-        return Wheels(*limits, self.reverse)
+        # Kernels are compiled for floats alone.
+        return Wheels(
+            float(speed), float(self.max_turn_rate), self.track / 2, float(self.max_wheel_speed), self.reverse
+        )
 
 
 @dataclass(frozen=True)
@@ -296,6 +310,7 @@ class Profile:
     mounting: Mounting = field(default_factory=Mounting)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("control_period", "time_step"):
             value = getattr(self, name)
             require(_is_positive(value), f"{name} is {value} s; it must be positive and finite")

@@ -16,7 +16,17 @@ from triform.simulation.mounting import Mounting, Placement
 from triform.simulation.noise import noise_in_body, noise_keys
 from triform.simulation.odometry import halfway, relative_poses, resting_poses
 from triform.simulation.profiles import Profile
-from triform.types import BoolArray, FloatArray, IntArray, PrivilegedView, RangeArray, Scan, TriformError, require
+from triform.types import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    PrivilegedView,
+    RangeArray,
+    Scan,
+    TriformError,
+    converted,
+    require,
+)
 
 Floating = TypeVar("Floating", bound=np.floating[Any])
 
@@ -255,4 +265,7 @@ def _sequences(
         require(not needed, "the profile has random errors; one seed for every world is needed")
         return []
     require(len(seeds) == worlds, f"{len(seeds)} seeds given for {worlds} worlds; one for each is needed")
+    for seed in seeds:
+        fits = isinstance(seed, np.random.SeedSequence) or converted("seed", seed, int) >= 0
+        require(fits, f"seed is {seed}; it must not be negative")
     return [seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed) for seed in seeds]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from triform.simulation.mounting import Mounting
 from triform.simulation.profiles import HARDWARE, IDEAL, Drive, Footprint, LidarConfig, NoiseBand, Profile
-from triform.types import ScanConfig, choose
+from triform.types import ScanConfig, choose, converted
 
 #: ROBOTIS LDS-02, on TurtleBot3 since 2022 (e-manual, appendix LDS-02): 0.16 m to 8 m, 5 Hz or above, 1 degree;
 #: +-10 mm up to 0.3 m, +-3 % beyond. Lost rays: an assumption.
@@ -146,6 +146,7 @@ def get_profile(name: str) -> Profile:
     Raises:
         ConfigurationError: There is no such profile, or the file holds what is not allowed.
     """
+    name = converted("profile", name, str)
     if name.endswith(".toml"):
         from triform.simulation.profile_file import read_profile
 

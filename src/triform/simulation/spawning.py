@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from triform.simulation.spawn_kernels import first_valid, insert_in_turn, is_connected, linked_groups
-from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError, require
+from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError, as_array, converted, require
 
 #: Smallest distance between two centres at the start, and from a robot that joins to the others, at d* = 1 m [m].
 #: It grows with d*, and below 1 m it stays, so that no footprints overlap.
@@ -107,6 +107,11 @@ def sample_starts(
         ConfigurationError: If a count or the seed is negative, there is no robot, or a length is not positive.
         TriformError: If no valid start turns up because the square is too small or too large.
     """
+    robots, runs, seed, first = (
+        converted(name, value, int)
+        for name, value in (("robots", robots), ("runs", runs), ("seed", seed), ("first", first))
+    )
+    distance, side = converted("distance", distance, float), converted("side", side, float | None)
     require(robots >= 1, f"{robots} robots asked for; at least 1 is needed")
     require(runs >= 0 and seed >= 0 and first >= 0, f"runs {runs}, seed {seed} or first {first} is negative")
     require(side is None or 0 < side < math.inf, f"side is {side} m; it must be positive and finite")
@@ -146,7 +151,13 @@ def sample_addition(
     Raises:
         TriformError: If there is no robot to join or no free place.
     """
-    others = poses[active, :2]
+    distance = converted("distance", distance, float)
+    present = as_array("poses", poses), as_array("flags of active robots", active, np.bool_)
+    require(
+        present[0].shape == (*present[1].shape, 3) and present[1].ndim == 1,
+        f"poses of shape {present[0].shape} and active of shape {present[1].shape} given; (N, 3) and (N,) are needed",
+    )
+    others = present[0][present[1], :2]
     if len(others) == 0:
         raise TriformError("a robot cannot join a world that has no robots: there is nobody to be near to")
     spacing, reach = spacing_at(distance), SENSING_RANGE * distance
@@ -182,7 +193,7 @@ def _read_csv(path: Path) -> FloatArray:
 def _read_npy(path: Path) -> FloatArray:
     try:
         values = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
+    except (ValueError, EOFError, MemoryError) as error:
         raise TriformError(f"{path} is not an .npy file of numbers: {error}") from None
     if values.ndim != 2 or values.shape[1] != len(_COLUMNS) or values.dtype.kind not in "fiu":
         raise TriformError(
@@ -202,7 +213,7 @@ def load_starts(path: Path) -> list[FloatArray]:
     Raises:
         TriformError: If the file cannot be read or a row is malformed; the row and column are named.
     """
-    path = Path(path)
+    path = converted("starts", path, Path)
     if path.suffix not in (".npy", ".csv"):
         raise TriformError(f"{path} ends in {path.suffix!r}; starts are read from .npy or .csv")
     try:
@@ -247,4 +258,6 @@ def world_seeds(robots: int, seed: int, runs: Iterable[int], purpose: int = 1) -
         runs: Index of every run.
         purpose: Keeps streams for different uses apart; the starts themselves use none.
     """
+    robots, seed = converted("robots", robots, int), converted("seed", seed, int)
+    require(robots >= 0 and seed >= 0, f"robots {robots} or seed {seed} is negative")
     return [np.random.SeedSequence([robots, seed, int(index), purpose]) for index in runs]

@@ -27,6 +27,8 @@ from triform.types import (
     PrivilegedView,
     RangeArray,
     TriformError,
+    as_array,
+    converted,
     require,
 )
 
@@ -66,17 +68,19 @@ class World:
         Raises:
             ConfigurationError: If shapes do not fit, an active robot's pose is not finite, or seeds are missing.
         """
-        placed = np.array(poses, dtype=np.float64, order="C")
+        converted("profile", profile, Profile)
+        converted("arena", arena, Arena | None)
+        placed = np.array(as_array("poses", poses))
         require(
             placed.ndim == 3 and placed.shape[2] == 3 and placed.size > 0,
             f"poses of shape {placed.shape} given; (worlds, robots, 3) is needed, with at least one of each",
         )
         worlds, robots = placed.shape[:2]
-        self._active = np.ones((worlds, robots), dtype=np.bool_) if active is None else np.array(active)
+        present = np.ones((worlds, robots), dtype=np.bool_) if active is None else active
+        self._active = np.array(as_array("flags of active robots", present, np.bool_))
         require(
-            self._active.shape == (worlds, robots) and self._active.dtype == np.bool_,
-            f"active of shape {self._active.shape} and type {self._active.dtype} given; "
-            f"bool of shape {(worlds, robots)} is needed",
+            self._active.shape == (worlds, robots),
+            f"active of shape {self._active.shape} given; {(worlds, robots)} is needed",
         )
         bad = np.argwhere(self._active & ~np.isfinite(placed).all(axis=2))
         if len(bad):
@@ -162,6 +166,7 @@ class World:
         Raises:
             TriformError: If the shape does not fit, a command is not finite, or the duration is not positive.
         """
+        duration = converted("duration", duration, float)
         targets = limit_twists(self._checked(commands), self._profile.drive)
         end = self._time + duration
         for stop, turn_ends in self._senses.stretches(self._time, duration):
@@ -189,7 +194,7 @@ class World:
             TriformError: If there is no such world or the pose is not three finite numbers.
         """
         self._check_world(world)
-        placed = np.array(pose, dtype=np.float64)
+        placed = as_array("numbers of a pose", pose)
         if placed.shape != (3,) or not np.isfinite(placed).all():
             raise TriformError(f"a robot cannot be placed at {placed}; a pose is three finite numbers")
         free = np.flatnonzero(~self._active[world])
@@ -210,7 +215,7 @@ class World:
             TriformError: If there is no such world or robot.
         """
         self._check_world(world)
-        if not 0 <= robot < self._active.shape[1] or not self._active[world, robot]:
+        if not 0 <= converted("robot", robot, int) < self._active.shape[1] or not self._active[world, robot]:
             present = np.flatnonzero(self._active[world]).tolist()
             raise TriformError(f"world {world} has no robot {robot}; its robots are {present}")
         self._active[world, robot] = False
@@ -219,7 +224,7 @@ class World:
         self._senses.remove_robot(world, robot)
 
     def _checked(self, commands: FloatArray) -> FloatArray:
-        values = np.asarray(commands, dtype=np.float64)
+        values = as_array("commands", commands)
         if values.shape != self._poses.shape:
             raise TriformError(f"commands of shape {values.shape} given; {self._poses.shape} is needed")
         finite = np.isfinite(values).all(axis=2) | ~self._active
@@ -229,7 +234,7 @@ class World:
         return values
 
     def _check_world(self, world: int) -> None:
-        if not 0 <= world < len(self._active):
+        if not 0 <= converted("world", world, int) < len(self._active):
             raise TriformError(f"there is no world {world}; worlds are 0 to {len(self._active) - 1}")
 
     @property
@@ -295,6 +300,7 @@ def make_world(
     Raises:
         ConfigurationError: A name is unknown or a number not allowed.
     """
+    runs, distance = converted("runs", runs, int), converted("distance", distance, float)
     require(runs >= 1, f"runs is {runs}; at least 1 is needed")
     require(0 < distance < np.inf, f"distance is {distance} m; it must be positive and finite")
     poses = sample_starts(robots, runs, seed, distance=distance)

@@ -22,7 +22,7 @@ from triform.report.output import prepare_file, write_json
 from triform.threads import usable_threads
 from triform.timing.robot_step import Job, save_moments
 from triform.timing.step_time import record_views, single_views
-from triform.types import TriformError, require
+from triform.types import TriformError, convert_fields, require
 
 _PACKAGES = ("triform", "numpy", "numba", "llvmlite", "onnxruntime", "pyserial")
 #: Read by the libraries below us; a policy runs on one thread whatever they say.
@@ -63,6 +63,7 @@ class BenchConfig:
     json: Path | None = None
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require(
             self.controller.name == "policy",
             f"controller is {self.controller.label!r}; the bench times a policy, such as policy or policy:paper",

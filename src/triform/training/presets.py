@@ -10,7 +10,7 @@ from triform.control import TriangulatingLaw, expert_variant
 from triform.dataset import SceneConfig, StateConfig
 from triform.policy import CnnConfig, GnnConfig, Network, NetworkConfig, PolicySpec
 from triform.simulation import Profile
-from triform.types import ConfigurationError, MapConfig, ScanConfig, require
+from triform.types import ConfigurationError, MapConfig, ScanConfig, convert_fields, require
 
 Optimizer = Literal["adamw", "rmsprop"]
 Schedule = Literal["cosine", "constant"]
@@ -85,6 +85,7 @@ class TrainConfig:
     map: MapConfig = field(default_factory=MapConfig)
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("maps", "batch_maps"):
             value = getattr(self, name)
             require(value is None or value >= 1, f"{name} is {value}; it must be at least 1")

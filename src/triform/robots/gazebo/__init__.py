@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from triform.robots.gazebo.installation import Installation, find_gazebo
-from triform.robots.gazebo.sdf import GazeboBase, braked, write_world
+from triform.robots.gazebo.sdf import write_world
 from triform.robots.gazebo.server import GazeboError, GazeboServer, State
 from triform.robots.gazebo.team import GazeboTeam
 
 __all__ = [
-    "GazeboBase",
     "GazeboError",
     "GazeboServer",
     "GazeboTeam",
     "Installation",
     "State",
-    "braked",
     "find_gazebo",
     "write_world",
 ]

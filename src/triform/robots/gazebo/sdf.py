@@ -3,47 +3,31 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Literal
 from xml.sax.saxutils import quoteattr
 
+from triform.robots.chassis import (
+    CENTRE_OF_MASS,
+    HEIGHT,
+    LIDAR_HEIGHT,
+    MASS,
+    WALL_HEIGHT,
+    WALL_THICKNESS,
+    WHEEL_MASS,
+    WHEEL_PLACE,
+    Base,
+    braked,
+    check_wheels,
+    moments_of_inertia,
+)
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import WHEEL_RADIUS
-from triform.simulation.profiles import Drive, Footprint, Profile
-from triform.types import require
+from triform.simulation.profiles import Footprint, Profile
 
-#: How a base moves: a force in the plane, or four mecanum wheels.
-GazeboBase = Literal["planar", "mecanum"]
-
-#: RoboMaster EP: mass of the whole robot [kg] and height [m].
-MASS = 3.4
-HEIGHT = 0.27
-#: RoboMaster EP: wheels stand so far in front of and beside the centre [m].
-_WHEEL_PLACE = 0.10
-_WHEEL_MASS = 0.1
-_CENTRE_OF_MASS = 0.08
-#: Height of the LiDAR, above the wheels [m].
-_LIDAR_HEIGHT = 0.20
-#: What a drive without limits of its own can do [m/s^2, rad/s^2]: an assumption, because real wheels slip.
-MAX_ACCELERATION = 2.0
-MAX_TURN_ACCELERATION = 10.0
-#: A wall of an arena is a line; Gazebo needs a body [m].
-WALL_THICKNESS = 0.001
-_WALL_HEIGHT = 0.5
 #: Bits of what may touch what: wheels touch the ground alone.
 _BODY, _WHEEL = 1, 2
 
 
-def braked(drive: Drive) -> Drive:
-    """Return a drive with the accelerations that Gazebo's robots are held to."""
-    return replace(
-        drive,
-        max_acceleration=min(drive.max_acceleration, MAX_ACCELERATION),
-        max_turn_acceleration=min(drive.max_turn_acceleration, MAX_TURN_ACCELERATION),
-    )
-
-
-def write_world(profile: Profile, arena: Arena, robots: int, base: GazeboBase, time_step: float, plugin: str) -> str:
+def write_world(profile: Profile, arena: Arena, robots: int, base: Base, time_step: float, plugin: str) -> str:
     """Return an SDF world with a ground, an arena and robots that wait to be placed.
 
     Args:
@@ -58,10 +42,10 @@ def write_world(profile: Profile, arena: Arena, robots: int, base: GazeboBase, t
     obstacles = []
     for index, (x1, y1, x2, y2) in enumerate(arena.walls.tolist()):
         place = ((x1 + x2) / 2, (y1 + y2) / 2, math.atan2(y2 - y1, x2 - x1))
-        shape = _box(math.hypot(x2 - x1, y2 - y1), WALL_THICKNESS, _WALL_HEIGHT)
+        shape = _box(math.hypot(x2 - x1, y2 - y1), WALL_THICKNESS, WALL_HEIGHT)
         obstacles.append(_obstacle(f"wall{index}", place, shape))
     for index, (x, y, radius) in enumerate(arena.pillars.tolist()):
-        obstacles.append(_obstacle(f"pillar{index}", (x, y, 0.0), _cylinder(radius, _WALL_HEIGHT)))
+        obstacles.append(_obstacle(f"pillar{index}", (x, y, 0.0), _cylinder(radius, WALL_HEIGHT)))
     ground = _collision("<plane><normal>0 0 1</normal><size>100 100</size></plane>", 0.0, _BODY | _WHEEL, (1.0, 1.0))
     return f"""<sdf version="1.6"><world name="triform">
     <physics type="ode">
@@ -75,7 +59,7 @@ def write_world(profile: Profile, arena: Arena, robots: int, base: GazeboBase, t
     <plugin name="lockstep" filename={quoteattr(plugin)}>
       <robots>{robots}</robots><rays>{scan.rays}</rays><angle_min>{scan.angle_min}</angle_min>
       <range_min>{scan.range_min}</range_min><range_max>{scan.range_max}</range_max>
-      <lidar_height>{_LIDAR_HEIGHT}</lidar_height><wheel_radius>{WHEEL_RADIUS}</wheel_radius><lag>{drive.lag}</lag>
+      <lidar_height>{LIDAR_HEIGHT}</lidar_height><wheel_radius>{WHEEL_RADIUS}</wheel_radius><lag>{drive.lag}</lag>
       <max_acceleration>{drive.max_acceleration}</max_acceleration>
       <max_turn_acceleration>{drive.max_turn_acceleration}</max_turn_acceleration>
     </plugin>
@@ -121,21 +105,16 @@ def _obstacle(name: str, place: tuple[float, float, float], shape: str) -> str:
     x, y, heading = place
     return f"""<model name="{name}"><static>true</static>
       <link name="link">{_collision(shape, 0.0, _BODY, (0.0, 0.0))}</link>
-      {_pose(x, y, _WALL_HEIGHT / 2, heading)}
+      {_pose(x, y, WALL_HEIGHT / 2, heading)}
     </model>"""
 
 
-def _robot(index: int, footprint: Footprint, base: GazeboBase) -> str:
+def _robot(index: int, footprint: Footprint, base: Base) -> str:
     """Return a robot, far below the ground until it is placed."""
     wheels = base == "mecanum"
-    require(
-        not wheels or min(footprint.length, footprint.width) > 2 * _WHEEL_PLACE,
-        f"a footprint of {footprint.length} m x {footprint.width} m is too small for mecanum wheels "
-        f"{2 * _WHEEL_PLACE} m apart; use the planar drive",
-    )
-    mass = MASS - 4 * _WHEEL_MASS if wheels else MASS
-    across, along = (mass * (size**2 + HEIGHT**2) / 12 for size in (footprint.width, footprint.length))
-    turning = mass * (footprint.length**2 + footprint.width**2) / (8 * 2 if footprint.is_circle else 12)
+    if wheels:
+        check_wheels(footprint)
+    mass = MASS - 4 * WHEEL_MASS if wheels else MASS
     # On wheels the body hangs clear of the ground.
     clearance = WHEEL_RADIUS if wheels else 0.0
     height = HEIGHT - clearance
@@ -147,19 +126,19 @@ def _robot(index: int, footprint: Footprint, base: GazeboBase) -> str:
     signs = (("fl", 1, 1), ("fr", 1, -1), ("rl", -1, 1), ("rr", -1, -1)) if wheels else ()
     return f"""<model name="robot{index}">{_pose(0.0, 0.0, -100.0 * (index + 1))}
       <link name="base">
-        {_inertia(mass, _CENTRE_OF_MASS, (across, along, turning))}
+        {_inertia(mass, CENTRE_OF_MASS, moments_of_inertia(footprint, mass))}
         {_collision(shape, clearance + height / 2, _BODY, (0.0, 0.0))}
       </link>
-      {"".join(_wheel(name, x * _WHEEL_PLACE, y * _WHEEL_PLACE) for name, x, y in signs)}
+      {"".join(_wheel(name, x * WHEEL_PLACE, y * WHEEL_PLACE) for name, x, y in signs)}
     </model>"""
 
 
 def _wheel(name: str, x: float, y: float) -> str:
-    moment = 0.5 * _WHEEL_MASS * WHEEL_RADIUS**2
+    moment = 0.5 * WHEEL_MASS * WHEEL_RADIUS**2
     sphere = f"<sphere><radius>{WHEEL_RADIUS}</radius></sphere>"
     # Rollers: full friction along the first direction, which the plugin turns, none across it.
     return f"""<link name="{name}">{_pose(x, y, WHEEL_RADIUS)}
-      {_inertia(_WHEEL_MASS, 0.0, (moment, moment, moment))}
+      {_inertia(WHEEL_MASS, 0.0, (moment, moment, moment))}
       {_collision(sphere, 0.0, _WHEEL, (1.0, 0.0))}
     </link>
     <joint name="{name}_axle" type="revolute">

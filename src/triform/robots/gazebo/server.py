@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from triform.robots.chassis import Base
 from triform.robots.gazebo.installation import Installation, find_gazebo
-from triform.robots.gazebo.sdf import GazeboBase, write_world
+from triform.robots.gazebo.sdf import write_world
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import limit_twists
 from triform.simulation.profiles import Profile
@@ -87,7 +88,7 @@ class GazeboServer:
         arena: Arena,
         robots: int,
         *,
-        drive: GazeboBase = "planar",
+        drive: Base = "planar",
         time_step: float = 0.01,
         spare: int = 0,
         timeout: float = 30.0,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from triform.robots.gazebo.sdf import braked
+from triform.robots.chassis import braked
 from triform.robots.gazebo.server import GazeboServer, State
 from triform.simulation.sensors import SensorSuite
 from triform.types import BoolArray, FloatArray, PrivilegedView, TriformError, require

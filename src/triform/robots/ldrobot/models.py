@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from triform.simulation.profiles import HARDWARE, NoiseBand, constant_noise
-from triform.types import ScanConfig, require
+from triform.types import ScanConfig, convert_fields, require
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class LidarModel:
     noise: tuple[NoiseBand, ...] = ()
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("samples_per_second", "period"):
             value = getattr(self, name)
             require(0 < value < math.inf, f"{name} is {value}; it must be positive and finite")

@@ -36,7 +36,7 @@ _PAUSE = 1.0
 #: Share of the watchdog's time within which the robot has to confirm that the wheels have a newer command.
 _CONFIRMED_WITHIN = 0.9
 #: The least share of the watchdog's time that an answer may take, however late its command was.
-_ANSWERED_WITHIN = 0.5
+_ANSWERED_WITHIN = 1 / 6
 _KEEPER_ENDED = "the process that keeps its wheels has ended"
 
 
@@ -68,8 +68,8 @@ class RoboMaster:
         Args:
             address: The robot's address.
             local_address: Address of this computer to connect from; chosen by the system if ``None``.
-            watchdog: How long a command holds [s]. Within 0.9 of it the robot has to confirm a newer command, or else
-                within 0.5 of it after the oldest one that it has not confirmed, whichever is later.
+            watchdog: How long a command holds that no newer one follows, and, to 0.9 of it, within which the robot has
+                to confirm a newer one [s].
             max_speed: Faster commands are clipped along x and y [m/s].
             max_turn_rate: Faster turns are clipped [rad/s].
             control_port: TCP port of the robot's commands.
@@ -227,8 +227,8 @@ class RoboMaster:
             raise RoboMasterError(f"{lost}: {error.strerror}") from error
         ours.settimeout(_PATIENCE)
         ready = f"{watchdog.READY}\n".encode()
-        with suppress(OSError):
-            if ours.recv(len(ready), socket.MSG_WAITALL) == ready:
+        with suppress(OSError), ours.makefile("rb") as said:
+            if said.read(len(ready)) == ready:
                 return process, ours
         ours.close()
         process.kill()
@@ -273,8 +273,10 @@ class RoboMaster:
 
     def _due(self) -> float:
         """Moment by which the oldest command that waits has to be confirmed [s]."""
-        since_confirmed = self._confirmed + _CONFIRMED_WITHIN * self._watchdog
-        return max(since_confirmed, self._waiting[0] + _ANSWERED_WITHIN * self._watchdog)
+        oldest = self._waiting[0]
+        # After a pause the wheels stand, and only the new command makes them turn.
+        since = self._confirmed if oldest < self._confirmed + self._watchdog else oldest
+        return max(since + _CONFIRMED_WITHIN * self._watchdog, oldest + _ANSWERED_WITHIN * self._watchdog)
 
     def _take(self, line: str) -> None:
         """Take an answer; those to commands that the watchdog gave by itself have no moment of a command."""

@@ -1,0 +1,58 @@
+"""What simulators of physics agree on: a RoboMaster EP under the footprint of its profile, and walls with a body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+from triform.simulation.profiles import Drive, Footprint
+from triform.types import require
+
+#: How a robot moves: by a force in the plane, or on four mecanum wheels.
+Base = Literal["planar", "mecanum"]
+BASES: tuple[Base, ...] = ("planar", "mecanum")
+
+#: RoboMaster EP: mass of the whole robot [kg] and height [m].
+MASS = 3.4
+HEIGHT = 0.27
+#: RoboMaster EP: wheels stand this far in front of and beside the centre [m].
+WHEEL_PLACE = 0.10
+WHEEL_MASS = 0.1
+CENTRE_OF_MASS = 0.08
+#: Height of the LiDAR, above the wheels [m].
+LIDAR_HEIGHT = 0.20
+#: What a drive without limits of its own can do [m/s^2, rad/s^2]: an assumption, because real wheels slip.
+MAX_ACCELERATION = 2.0
+MAX_TURN_ACCELERATION = 10.0
+#: A wall of an arena is a line; a simulator needs a body [m].
+WALL_THICKNESS = 0.001
+WALL_HEIGHT = 0.5
+
+
+def braked(drive: Drive) -> Drive:
+    """Return a drive with the accelerations that robots with a mass are held to."""
+    return replace(
+        drive,
+        max_acceleration=min(drive.max_acceleration, MAX_ACCELERATION),
+        max_turn_acceleration=min(drive.max_turn_acceleration, MAX_TURN_ACCELERATION),
+    )
+
+
+def moments_of_inertia(footprint: Footprint, mass: float) -> tuple[float, float, float]:
+    """Return the moments of a body of ``mass`` [kg] and ``HEIGHT`` about its axes x, y and z [kg m^2]."""
+    across, along = (mass * (size**2 + HEIGHT**2) / 12 for size in (footprint.width, footprint.length))
+    turning = mass * (footprint.length**2 + footprint.width**2) / (8 * 2 if footprint.is_circle else 12)
+    return across, along, turning
+
+
+def check_wheels(footprint: Footprint) -> None:
+    """Make sure that mecanum wheels fit under a footprint.
+
+    Raises:
+        ConfigurationError: They do not.
+    """
+    require(
+        min(footprint.length, footprint.width) > 2 * WHEEL_PLACE,
+        f"a footprint of {footprint.length} m x {footprint.width} m is too small for mecanum wheels "
+        f"{2 * WHEEL_PLACE} m apart; use the planar base",
+    )

@@ -1,0 +1,271 @@
+"""Robots in MuJoCo as teams that any controller drives, like those of the built-in world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import ArrayLike
+
+from triform.robots.chassis import BASES, Base, braked
+from triform.robots.mujoco.lidar import RayCaster
+from triform.robots.mujoco.model import MOTIONS, write_model, write_sight
+from triform.robots.mujoco.picture import draw
+from triform.simulation.arena import Arena
+from triform.simulation.kinematics import limit_twists
+from triform.simulation.profiles import Profile
+from triform.simulation.sensors import SensorSuite
+from triform.threads import usable_threads
+from triform.types import BoolArray, FloatArray, MapArray, PrivilegedView, RangeArray, TriformError, require
+
+#: Robots that do not exist stand this far away [m], and as far apart as a robot needs.
+_FAR, _APART = 1e6, 10.0
+#: What describes a robot in motion, apart from its place among the others.
+_STATE = ("qpos", "qvel", "qacc_warmstart")
+
+
+class MujocoError(TriformError):
+    """MuJoCo's physics has become unstable."""
+
+
+class MujocoTeam:
+    """B worlds of N robots in MuJoCo: a ``SimulatedTeam`` with the interface of ``triform.simulation.World``.
+
+    Bodies, contacts and motion are MuJoCo's, and so are exact ranges; turns, errors, latency, odometry and exploration
+    noise come from ``SensorSuite``, the same as in the built-in world. Everything happens at the end of a step of the
+    physics: a moment between two steps is that of the nearest one, and a rolling LiDAR measures what has fallen due
+    once in every ``time_step`` of the profile. Robots that touch are recorded as a collision, because solid bodies
+    cannot overlap. A world's run is the same to the bit whatever the number of threads and whatever other worlds are
+    in the batch.
+
+    Attributes:
+        profile: Kind of all robots.
+        arena: Walls and pillars.
+        control_period: Time between two commands [s].
+        time: Time since the start [s].
+        min_distance: Smallest distance between two centres at any step so far, shape (B,) [m].
+        collided: Whether two robots have touched at the beginning of any step so far, shape (B,).
+        hit_arena: Whether a robot has touched a wall or pillar at the beginning of any step so far, shape (B,).
+    """
+
+    def __init__(
+        self,
+        poses: ArrayLike,
+        profile: Profile,
+        arena: Arena | None = None,
+        seeds: Sequence[int | np.random.SeedSequence] | None = None,
+        base: Base = "planar",
+    ) -> None:
+        """Place the robots at rest.
+
+        Args:
+            poses: Poses in the world frame, shape (B, N, 3) [m, m, rad].
+            profile: Kind of all robots.
+            arena: Walls and pillars; by default none.
+            seeds: One seed for every world; may be left out if the profile has no random errors.
+            base: How the robots move: by a force in the plane, or on four mecanum wheels.
+
+        Raises:
+            ConfigurationError: If the shape does not fit, a pose is not finite, wheels do not fit under the footprint,
+                or seeds are missing.
+        """
+        placed = np.array(poses, dtype=np.float64)
+        require(
+            placed.ndim == 3 and placed.shape[2] == 3 and placed.size > 0 and bool(np.isfinite(placed).all()),
+            f"poses of shape {placed.shape} given; finite ones of shape (worlds, robots, 3) are needed",
+        )
+        require(base in BASES, f"base is {base!r}; allowed are {', '.join(BASES)}")
+        worlds, robots = placed.shape[:2]
+        self.profile, self.arena, self.control_period = profile, arena or Arena.open(), profile.control_period
+        self.time = 0.0
+        self.min_distance: FloatArray = np.full(worlds, np.inf)
+        self.collided: BoolArray = np.zeros(worlds, np.bool_)
+        self.hit_arena: BoolArray = np.zeros(worlds, np.bool_)
+        self._base: Base = base
+        self._drive = braked(profile.drive)
+        self._active = np.ones((worlds, robots), np.bool_)
+        self._steps = 0
+        self._build()
+        for b, i in np.ndindex(worlds, robots):
+            self._motion.place(b, i, placed[b, i])
+        self._approach()
+        self._senses = SensorSuite(replace(profile, drive=self._drive), self.poses, self._active, seeds)
+        if not profile.lidar.rolling:
+            self._senses.finish(self._snapshot(), self.poses, self._active)
+
+    @property
+    def poses(self) -> FloatArray:
+        """True poses in the world frame, shape (B, N, 3) [m, m, rad]; ``NaN`` where not active."""
+        return np.where(self._active[..., None], self._motion.poses, np.nan)
+
+    @property
+    def velocities(self) -> FloatArray:
+        """Actual body twists, shape (B, N, 3) [m/s, m/s, rad/s]; zero where not active."""
+        return np.where(self._active[..., None], self._motion.twists, 0.0)
+
+    @property
+    def active(self) -> BoolArray:
+        """Which robots exist, shape (B, N)."""
+        return self._active.copy()
+
+    def observe(self) -> PrivilegedView:
+        """Return the newest scans whose latency has passed, and everybody's true pose."""
+        return self._senses.view(self.time, self.poses, self.velocities, self._active)
+
+    def apply(self, commands: FloatArray, duration: float) -> None:
+        """Hold body twists for a while.
+
+        Args:
+            commands: Body twists, shape (B, N, 3) [m/s, m/s, rad/s]; those of inactive robots are not used.
+            duration: How long [s].
+
+        Raises:
+            MujocoError: If the physics becomes unstable.
+            TriformError: If the shape does not fit, a command is not finite, or the duration is not positive.
+        """
+        targets = limit_twists(self._checked(commands), self.profile.drive)
+        end = self.time + duration
+        for stop, turn_ends in self._senses.stretches(self.time, duration):
+            self._advance(targets, stop, turn_ends)
+            self.time = stop
+            if turn_ends:
+                ranges = None if self.profile.lidar.rolling else self._snapshot()
+                self._senses.end_turn(ranges, self.poses, self._active)
+        self.time = end
+
+    def add_robot(self, world: int, pose: ArrayLike) -> int:
+        """Add a robot at rest to one world and return its index along axis N, which grows if no place is free.
+
+        Raises:
+            TriformError: If there is no such world or the pose is not three finite numbers.
+        """
+        self._check_world(world)
+        placed = np.array(pose, dtype=np.float64)
+        if placed.shape != (3,) or not np.isfinite(placed).all():
+            raise TriformError(f"a robot cannot be placed at {placed}; a pose is three finite numbers")
+        if self._active[world].all():
+            self._grow()
+        robot = int(np.flatnonzero(~self._active[world])[0])
+        self._active[world, robot] = True
+        self._motion.place(world, robot, placed)
+        self._approach()
+        self._senses.add_robot(world, robot, self.poses[world, robot])
+        return robot
+
+    def remove_robot(self, world: int, robot: int) -> None:
+        """Take a robot out of one world; its scans become ``+inf`` and its pose ``NaN``.
+
+        Raises:
+            TriformError: If there is no such world or robot.
+        """
+        self._check_world(world)
+        if not 0 <= robot < self._active.shape[1] or not self._active[world, robot]:
+            present = np.flatnonzero(self._active[world]).tolist()
+            raise TriformError(f"world {world} has no robot {robot}; its robots are {present}")
+        self._active[world, robot] = False
+        self._park(world, robot)
+        self._senses.remove_robot(world, robot)
+
+    def picture(self, world: int = 0, width: int = 960, height: int = 720) -> MapArray:
+        """Draw one world from above with MuJoCo's renderer: colours of shape (height, width, 3).
+
+        Raises:
+            TriformError: There is no such world, or no OpenGL that the renderer can use.
+        """
+        self._check_world(world)
+        places = self.poses[world, self._active[world], :2]
+        return draw(self._batch.model, self._batch.qpos[world], places, width, height)
+
+    def _build(self) -> None:
+        """Make the simulations, all robots parked."""
+        worlds, robots = self._active.shape
+        footprint = self.profile.footprint
+        model = mujoco.MjModel.from_xml_string(write_model(footprint, self.arena, robots, self._base))
+        self._batch = Batch(model, worlds, min(worlds, usable_threads()))
+        self._motion = MOTIONS[self._base](self._batch, robots, self._drive, footprint)
+        sight = mujoco.MjModel.from_xml_string(write_sight(footprint, self.arena, robots))
+        mounting = self.profile.mounting
+        self._rays = RayCaster(sight, self.profile.from_lidar, (mounting.x, mounting.y))
+        self._found = self._batch.bind("sensordata").reshape(worlds, robots, 2)
+        for b, i in np.ndindex(worlds, robots):
+            self._park(b, i)
+
+    def _park(self, world: int, robot: int) -> None:
+        """Put a robot where it meets nothing."""
+        self._motion.place(world, robot, np.array([_FAR + _APART * robot, _FAR, 0.0]))
+
+    def _grow(self) -> None:
+        """Append one place to axis N of everything."""
+        old, (worlds, robots) = self._batch, self._active.shape
+        self._active = np.pad(self._active, ((0, 0), (0, 1)))
+        self._build()
+        for name in _STATE:
+            before, now = getattr(old, name), getattr(self._batch, name)
+            now.reshape(worlds, robots + 1, -1)[:, :robots] = before.reshape(worlds, robots, -1)
+        self._senses.grow()
+
+    def _advance(self, targets: FloatArray, stop: float, turn_ends: bool) -> None:
+        """Drive until ``stop`` [s], which lies within one turn of the LiDAR."""
+        rolling = self.profile.lidar.rolling
+        looks = max(1, math.ceil((stop - self.time) / self.profile.time_step - 1e-6)) if rolling else 1
+        period = (stop - self.time) / looks
+        bounds = self._senses.rays_due(self.time, looks, period, turn_ends)
+        for look in range(looks):
+            self._step_until(self.time + (look + 1) * period, targets)
+            if rolling:
+                due = slice(int(bounds[look]), int(bounds[look + 1]))
+                self._rays.cast_into(self._senses.ranges, self._motion.frames, self._active, due, self._offsets)
+
+    def _step_until(self, time: float, targets: FloatArray) -> None:
+        """Take the steps of the physics up to the one nearest to ``time`` [s]."""
+        while self._steps < round(time / self._motion.time_step):
+            self._motion.drive(targets)
+            self._batch.step()
+            self._steps += 1
+            self._approach()
+            self.collided |= (self._found[..., 0] > self._found[..., 1]).any(axis=1)
+            self.hit_arena |= (self._found[..., 1] > 0).any(axis=1)
+        # How often MuJoCo warned of what: after most warnings it starts anew from nowhere.
+        warned = self._batch.warning[..., 1].any(axis=1)
+        if warned.any():
+            raise MujocoError(
+                f"the physics of world {int(np.argmax(warned))} became unstable within {time:.3f} s after the start"
+            )
+
+    @property
+    def _offsets(self) -> FloatArray | None:
+        """Errors of the angles of a rolling turn, shape (B, N, R) [rad]; ``None`` without any."""
+        return self._senses.offsets if self._senses.offsets.shape[2] else None
+
+    def _snapshot(self) -> RangeArray:
+        """All rays at this moment, without errors of range, shape (B, N, R) [m]."""
+        ranges = np.full((*self._active.shape, self.profile.lidar.scan.rays), np.inf, np.float32)
+        offsets = self._senses.draw_offsets(self._active)
+        self._rays.cast_into(ranges, self._motion.frames, self._active, offsets=offsets)
+        return ranges
+
+    def _approach(self) -> None:
+        """Fold the distances between robots into the smallest."""
+        places = np.where(self._active[..., None], self._motion.poses[..., :2], np.nan)
+        apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
+        np.einsum("bii->bi", apart)[:] = np.nan
+        self.min_distance = np.fmin(self.min_distance, np.fmin.reduce(apart, axis=(1, 2)))
+
+    def _checked(self, commands: FloatArray) -> FloatArray:
+        values = np.array(commands, dtype=np.float64)
+        shape = (*self._active.shape, 3)
+        if values.shape != shape:
+            raise TriformError(f"commands of shape {values.shape} given; {shape} is needed")
+        values[~self._active] = 0.0
+        if not np.isfinite(values).all():
+            b, i = np.argwhere(~np.isfinite(values).all(axis=2))[0]
+            raise TriformError(f"the command {values[b, i]} of robot {i} in world {b} is not finite")
+        return values
+
+    def _check_world(self, world: int) -> None:
+        if not 0 <= world < len(self._active):
+            raise TriformError(f"there is no world {world}; worlds are 0 to {len(self._active) - 1}")
