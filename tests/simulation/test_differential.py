@@ -169,8 +169,8 @@ def test_noise_keeps_its_direction_while_a_robot_turns(seed: int, turn: float, r
 
 def test_noise_lasts_as_long_as_a_turn_needs() -> None:
     assert noise_period(Drive()) == NOISE_PERIOD
-    assert noise_period(ROLLING) == pytest.approx(NOISE_PERIOD + 0.125 * np.pi)
-    assert noise_period(replace(ROLLING, reverse=False)) == pytest.approx(NOISE_PERIOD + 0.25 * np.pi)
+    assert noise_period(ROLLING) == pytest.approx(NOISE_PERIOD + 0.25 * np.pi)
+    assert noise_period(replace(ROLLING, reverse=False)) == pytest.approx(NOISE_PERIOD + 0.5 * np.pi)
 
 
 @pytest.mark.parametrize(

@@ -118,8 +118,8 @@ class Scenario:
         )
         # Looked up once: files may change later, and are not there on the other machines of a cluster.
         robot = self.overrides.applied_to(get_profile(self.profile), self.distance)
-        if self.simulator == "gazebo":
-            robot.require_holonomic("Gazebo")
+        if self.simulator == "gazebo" or self.base == "mecanum":
+            robot.require_holonomic("Gazebo" if self.simulator == "gazebo" else "a base of mecanum wheels")
         object.__setattr__(self, "_robot", robot)
         object.__setattr__(self, "_arena", get_arena(self.arena))
 

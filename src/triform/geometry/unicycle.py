@@ -1,9 +1,9 @@
 """From the body twist of a holonomic controller to what two driven wheels do: a speed along the axis and a turn rate.
 
 A wanted velocity makes the angle e with the robot's axis, folded into [-90 deg, 90 deg] if the robot may reverse. The
-robot drives ``v = |u| cos^4(e)`` forwards or backwards and turns with ``omega = k e``, besides the turn rate that the
-command itself asks for: it turns first, and drives when it is nearly there. A command along the axis is driven as it
-is, so what has been converted once stays as it is.
+robot drives ``v = |u| cos^16(e)`` forwards or backwards and turns with ``omega = k e``, besides the turn rate that the
+command itself asks for: it turns first, and drives when it is nearly there, half as fast at 17 degrees. A command along
+the axis is driven as it is, so what has been converted once stays as it is.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ def roll(u_x: float, u_y: float, omega: float, wheels: Wheels) -> tuple[float, f
             error -= math.copysign(math.pi, error)
             sign = -1.0
     share = max(math.cos(error), 0.0)
-    along = sign * min(speed, wheels.max_speed) * (share * share) * (share * share)
+    for _ in range(4):
+        share *= share
+    along = sign * min(speed, wheels.max_speed) * share
     turn = omega + TURN_GAIN * error * min(speed / _FULL_TURN_SPEED, 1.0)
     turn = min(max(turn, -wheels.max_turn_rate), wheels.max_turn_rate)
     fastest = abs(along) + wheels.half_track * abs(turn)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from triform.geometry.unicycle import roll
+from triform.geometry.unicycle import Wheels, roll
 from triform.kernels import kernel
 from triform.simulation.drive_kernels import advance_pose, drive_team, limit_twist
 from triform.simulation.profiles import Drive
@@ -57,7 +57,7 @@ def _limit_into(twists: FloatArray, max_speed: float, max_axis_speed: float, max
 
 
 @kernel
-def _roll_into(twists, wheels):
+def _roll_into(twists: FloatArray, wheels: Wheels) -> None:
     for i in range(twists.shape[0]):
         along, turn = roll(twists[i, 0], twists[i, 1], twists[i, 2], wheels)
         twists[i, 0], twists[i, 1], twists[i, 2] = along, 0.0, turn

@@ -52,19 +52,19 @@ def noise_scale(drive: Drive) -> float:
     """Share of its full size that exploration noise has for robots with this base.
 
     That of a slow base is smaller in proportion, because what is cut to one speed, noise and command alike, would be
-    hardly anything but noise. That of a differential base lasts longer, and is smaller by the root of that: so robots
-    come as far by it.
+    hardly anything but noise. That of a differential base lasts longer, and is smaller in proportion: so robots come as
+    far by it.
     """
     share = min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_NOISE_SPEED)
-    return share * math.sqrt(NOISE_PERIOD / noise_period(drive)) if drive.is_differential else share
+    return share * NOISE_PERIOD / noise_period(drive) if drive.is_differential else share
 
 
 def noise_period(drive: Drive) -> float:
-    """How long a robot with this base holds its exploration noise [s]: ``NOISE_PERIOD``, after the mean turn to it."""
+    """How long a robot with this base holds its noise [s]: ``NOISE_PERIOD`` after the longest turn to its direction."""
     wheels = drive.wheels
     if wheels is None:
         return NOISE_PERIOD
-    return NOISE_PERIOD + (0.25 if wheels.reverses else 0.5) * math.pi / wheels.max_turn_rate
+    return NOISE_PERIOD + (0.5 if wheels.reverses else 1.0) * math.pi / wheels.max_turn_rate
 
 
 def noise_keys(seeds: Sequence[np.random.SeedSequence], worlds: int) -> NDArray[np.uint64]:
