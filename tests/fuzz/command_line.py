@@ -214,11 +214,12 @@ class Worker:
         process.stdin.write(json.dumps(words) + "\n")
         process.stdin.flush()
         answer, interrupted = self._wait(self._limit), False
-        if not answer and process.poll() is None:
-            interrupted = True
-            process.send_signal(signal.SIGINT)
-            # A training ends between two of its steps, and the first may wait for kernels to be compiled.
-            answer = self._wait(180 if words[0] in LONG else 30)
+        # The first Ctrl-C ends a training between two of its steps, which may wait for kernels; the second acts at once.
+        for _ in range(2 if words[0] in LONG else 1):
+            if not answer and process.poll() is None:
+                interrupted = True
+                process.send_signal(signal.SIGINT)
+                answer = self._wait(30)
         seconds = time.monotonic() - began
         if not answer:
             self.close()
