@@ -17,7 +17,8 @@ from triform.evaluation.rollout import rollout
 from triform.geometry import assess, edge_error
 from triform.simulation.arena import Arena
 from triform.simulation.lidar import cast_scans
-from triform.simulation.profiles import ROBOMASTER_EP, Footprint, get_profile
+from triform.simulation.profiles import ROBOMASTER_EP, Footprint
+from triform.simulation.shipped import get_profile
 from triform.simulation.spawning import sample_starts
 from triform.simulation.world import World
 from triform.threads import limit_threads

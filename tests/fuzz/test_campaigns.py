@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fuzz import recordings, robot_answers, sight, wheels
+from tests.fuzz import arcs, recordings, robot_answers, sight, wheels
 
 
 @pytest.mark.parametrize("kind", recordings.FORMATS)
@@ -42,3 +42,8 @@ def test_a_damaged_robot_is_driven_or_lost_in_a_sentence_and_stands() -> None:
 def test_a_robot_drives_by_how_long_ago_its_lidar_has_shown_anything() -> None:
     for index in range(60):
         assert sight.blindness(np.random.default_rng([1, index])) == ""
+
+
+def test_rolling_robots_behind_the_filter_never_collide() -> None:
+    for index in range(3):
+        assert not arcs.crash(np.random.default_rng([2, index]))

@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from triform.evaluation.scenario import Scenario
+from triform.robots.drive import DriveConfig
+from triform.robots.emulate import EmulateConfig
 from triform.simulation import (
     PROFILES,
     ROBOMASTER_EP,
@@ -62,7 +65,7 @@ def test_bad_values_are_refused(make: Callable[[], Any], message: str) -> None:
 def test_names_are_looked_up() -> None:
     for name in PROFILES:
         assert get_profile(name).name == name
-    with pytest.raises(TriformError, match="there are ideal, hardware and your own"):
+    with pytest.raises(TriformError, match=r"there are ideal, hardware, .* and your own"):
         get_profile("perfect")
     assert get_arena("room-6").walls.shape == (4, 4)
     assert get_arena("pillars").pillars.shape == (4, 3)
@@ -79,6 +82,34 @@ def test_hardware_is_what_the_data_sheets_say() -> None:
     assert (profile.control_period, profile.latency) == (0.125, 0.12)
     assert profile.drive.max_axis_speed == 0.1
     assert profile.drive.lag > 0
+
+
+def test_shipped_profiles_are_those_of_their_sources() -> None:
+    burger, waffle, create3 = (get_profile(name) for name in ("turtlebot3-burger", "turtlebot3-waffle", "turtlebot4"))
+    # A wheel that turns the robot on the spot as fast as the manuals say is about as fast as both are straight on.
+    for robot in (burger, waffle):
+        assert robot.drive.max_turn_rate * robot.drive.track / 2 == pytest.approx(robot.drive.max_speed, rel=0.05)
+        assert robot.drive.max_wheel_speed == robot.drive.max_speed
+        assert robot.lidar.period == 0.2
+    # Two wheels that speed up against each other turn the robot.
+    for robot in (burger, waffle, create3):
+        largest = 2 * robot.drive.max_acceleration / robot.drive.track
+        assert robot.drive.max_turn_acceleration == pytest.approx(largest, rel=0.01)
+        assert robot.footprint.is_circle
+        assert robot.mounting.x < 0
+    assert not get_profile("rosbot-xl").drive.is_differential
+    assert get_profile("turtlebot3-waffle-lds01").lidar.scan.range_min == 0.12
+
+
+def test_differential_bases_are_refused_where_nothing_drives_them() -> None:
+    for make in (
+        lambda: Scenario(profile="turtlebot4", simulator="gazebo"),
+        lambda: Scenario(profile="turtlebot4", simulator="mujoco", base="mecanum"),
+        lambda: DriveConfig(profile="turtlebot4"),
+        lambda: EmulateConfig(profile="turtlebot3-burger"),
+    ):
+        with pytest.raises(ConfigurationError, match=r"has a differential base, and .* drives holonomic robots alone"):
+            make()
 
 
 def test_footprints() -> None:

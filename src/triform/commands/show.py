@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
 from rich.console import Console
 
@@ -12,9 +13,27 @@ from triform.commands.terminal import Terminal
 from triform.control import CONTROLLERS, shipped_weights
 from triform.control.user import installed_controllers
 from triform.policy import describe_network, read_spec
-from triform.simulation import ARENAS, PROFILES, arena_toml, get_arena, get_profile, profile_toml
+from triform.simulation import ARENAS, PROFILES, Profile, arena_toml, get_arena, get_profile, noise_sigma, profile_toml
 from triform.timing.step_time import count_parameters, what_it_sees
 from triform.types import convert_fields, require
+
+#: What the shipped policy was trained on: sizes of outlines [m], rays, range noise at 1 m [m].
+_TRAINED_SIZES, _TRAINED_RAYS, _TRAINED_NOISE = (0.2, 0.41), 450, 0.03
+
+
+def beyond_training(robot: Profile) -> list[str]:
+    """Return in what a robot differs from those that the shipped policy was trained for, in a few words each."""
+    length, width, lidar = robot.footprint.length, robot.footprint.width, robot.lidar
+    smallest, largest = _TRAINED_SIZES
+    noise = float(noise_sigma(np.ones(1), lidar.noise)[0])
+    found = {
+        "another base": robot.drive.is_differential,
+        "another size": not (smallest <= min(length, width) and max(length, width) <= largest),
+        "fewer rays": lidar.scan.rays < _TRAINED_RAYS,
+        "more noise": noise > _TRAINED_NOISE,
+        "no odometry": not robot.odometry,
+    }
+    return [words for words, differs in found.items() if differs]
 
 
 @dataclass(frozen=True)
@@ -50,12 +69,23 @@ class Show:
                     robot.footprint.label,
                     str(robot.lidar.scan.rays),
                     f"{1 / robot.lidar.period:.3g}",
+                    robot.drive.base,
                     f"{min(robot.drive.max_speed, robot.drive.max_axis_speed):g}",
                     f"{robot.latency:g}",
+                    ", ".join(beyond_training(robot)) or "as trained",
                 ]
                 for name, robot in PROFILES.items()
             ]
-            headings = ["profile", "footprint [m]", "rays", "turns [Hz]", "speed [m/s]", "latency [s]"]
+            headings = [
+                "profile",
+                "footprint [m]",
+                "rays",
+                "turns [Hz]",
+                "base",
+                "speed [m/s]",
+                "latency [s]",
+                "policy",
+            ]
             terminal.table("robot profiles", headings, rows)
         elif self.what == "arena":
             rows = [[name, str(len(arena.walls)), str(len(arena.pillars))] for name, arena in ARENAS.items()]

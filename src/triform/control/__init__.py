@@ -12,7 +12,7 @@ from triform.control.registry import (
     shipped_weights,
     weights_folder,
 )
-from triform.control.safety import SafetyFilter, SafetySettings, reaction_time
+from triform.control.safety import SafetyFilter, SafetySettings, reaction_time, rolling_arcs
 from triform.control.scan_pipeline import ScanPipeline
 from triform.control.sight import Sight, has_sight
 from triform.control.teacher import Teacher
@@ -42,6 +42,7 @@ __all__ = [
     "has_sight",
     "make_controller",
     "reaction_time",
+    "rolling_arcs",
     "shipped_weights",
     "weights_folder",
 ]

@@ -11,6 +11,14 @@ so ``X'(t) >= -2 rate X(t - s)`` with ``s <= reaction``. With ``rate = 1 / (2 e 
 whatever the controllers want, if it was when the robots stood. This holds exactly for motion along one line; for bodies
 that pass each other, whose nearest points move along them, it is a rule that experiments confirm.
 
+A differential base drives along its axis alone, so only its speed is limited, by every return: to
+``rate * max(g - min_gap, 0) / cos(b)``, with b the bearing of the return from the direction of travel, less the angle
+by which the robot can turn before the command ends (``Arcs``); a return with b beyond 90 degrees limits nothing. Gap
+and bearing are those from where the robot comes to rest, which its odometry tells; without odometry the angle grows by
+the fastest turn in ``reaction``. So however the robot turns, it never drives at a return faster than a holonomic one
+may, and the argument above holds. A differential robot is to the filter the circle around its outline, and so are the
+others: a box adds to ``min_gap`` what its corners stand out. A circle may turn at any time.
+
 Zero is always allowed, so the filter never makes a command longer, never moves a robot that wants to rest, and never
 has to choose between two dangers. It does not push robots apart that are nearer than ``min_gap``, and it does not plan:
 two robots that want to change places stop in front of each other.
@@ -29,7 +37,8 @@ from typing import Any, Generic
 import numpy as np
 
 from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint, ray_directions
-from triform.control.safety_kernels import SafetyRules, filter_robots
+from triform.control.safety_kernels import Arcs, SafetyRules, filter_robots, filter_rolling
+from triform.geometry.unicycle import Wheels
 from triform.threads import in_parts
 from triform.types import Controller, FloatArray, ViewIn, convert_fields, require
 
@@ -56,6 +65,18 @@ def reaction_time(
     return latency + (2 if rolling else 1) * scan_period + control_period + 1.5 * lag
 
 
+def rolling_arcs(wheels: Wheels, control_period: float, turn_lag: float, unknown: float = 0.0) -> Arcs:
+    """Return what a differential base does between a decision and its effect.
+
+    Args:
+        wheels: Its limits.
+        control_period: Time between two commands [s].
+        turn_lag: How long its fastest turn would have to go on to come as far as it does in stopping [s].
+        unknown: How long it may have turned without knowing it [s]: 0 with odometry, else the ``reaction``.
+    """
+    return Arcs(wheels, control_period + turn_lag, wheels.max_turn_rate * (turn_lag + unknown))
+
+
 @dataclass(frozen=True)
 class SafetySettings:
     """Settings of the filter.
@@ -68,6 +89,7 @@ class SafetySettings:
         max_speed: The drive shortens faster commands to this speed [m/s].
         max_axis_speed: Then it clips both axes by themselves to this speed [m/s], which may turn a command. Commands
             are judged as the drive will carry them out.
+        arcs: What a differential base does with a command, see ``rolling_arcs``; ``None`` for a holonomic one.
     """
 
     footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE
@@ -75,6 +97,7 @@ class SafetySettings:
     reaction: float = 0.4
     max_speed: float = math.inf
     max_axis_speed: float = math.inf
+    arcs: Arcs | None = None
 
     def __post_init__(self) -> None:
         convert_fields(self)
@@ -121,7 +144,12 @@ class SafetyFilter(Generic[ViewIn]):
     @property
     def description(self) -> dict[str, Any]:
         """What the guarded controller says, and the settings of the filter as ``guard``; no limit is ``None``."""
-        settings = {name: None if value == math.inf else value for name, value in asdict(self._guard).items()}
+        settings = asdict(self._guard)
+        arcs = settings.pop("arcs")
+        if arcs is not None:
+            settings |= {"hold": arcs.hold, "slack": arcs.slack, "wheels": arcs.wheels._asdict()}
+            settings["wheels"]["max_wheel_speed"] = _finite(arcs.wheels.max_wheel_speed)
+        settings = {name: _finite(value) for name, value in settings.items()}
         half_length, half_width, is_circle = kernel_footprint(self._guard.footprint)
         shape = "circle" if is_circle else "box"
         settings["footprint"] = {"shape": shape, "length": 2 * half_length, "width": 2 * half_width}
@@ -129,10 +157,11 @@ class SafetyFilter(Generic[ViewIn]):
 
     def command(self, view: ViewIn) -> FloatArray:
         """Return body twists, shape (B, N, 3)."""
-        guard, config = self._guard, view.scans.config
+        guard, arcs, config = self._guard, self._guard.arcs, view.scans.config
         commands = np.array(self._controller.command(view), dtype=np.float64, order="C")
         ranges = np.ascontiguousarray(view.scans.ranges).reshape(-1, config.rays)
         active = np.ascontiguousarray(view.active).reshape(-1)
+        resting = np.zeros((len(active), 3)) if view.odometry is None else view.odometry.reshape(-1, 3)
         body = kernel_footprint(guard.footprint)
         circumradius = body.half_length if body.is_circle else math.hypot(body.half_length, body.half_width)
         law = SafetyRules(
@@ -142,14 +171,23 @@ class SafetyFilter(Generic[ViewIn]):
             body,
             circumradius,
             guard.rate,
-            guard.min_gap,
+            guard.min_gap if arcs is None else guard.min_gap + circumradius - min(body.half_length, body.half_width),
             guard.max_speed,
             guard.max_axis_speed,
         )
         early = view.time < guard.reaction
         flat = commands.reshape(-1, 3)
-        in_parts(
-            lambda first, last: filter_robots(ranges, active, law, early, flat, first, last),
-            len(flat), len(flat), ROBOTS_PER_THREAD,
-        )  # fmt: skip
+
+        def limit(first: int, last: int) -> None:
+            if arcs is None:
+                filter_robots(ranges, active, law, early, flat, first, last)
+            else:
+                filter_rolling(ranges, active, law, arcs, early, resting, flat, first, last)
+
+        in_parts(limit, len(flat), len(flat), ROBOTS_PER_THREAD)
         return commands
+
+
+def _finite(value: Any) -> Any:
+    """Return a value that JSON knows: ``None`` for no limit."""
+    return None if value == math.inf else value

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from triform.geometry.unicycle import Wheels, roll
 from triform.kernels import kernel
 from triform.types import Body
 
@@ -37,6 +38,21 @@ class SafetyRules(NamedTuple):
     min_gap: float
     max_speed: float
     max_axis_speed: float
+
+
+class Arcs(NamedTuple):
+    """What a differential base does between a decision and its effect.
+
+    Attributes:
+        wheels: Limits of the base.
+        hold: How long a commanded turn goes on before another command has taken its place [s].
+        slack: Largest angle between the heading at rest, from which a command is judged, and that in which an earlier
+            command is still driven [rad].
+    """
+
+    wheels: Wheels
+    hold: float
+    slack: float
 
 
 @kernel
@@ -207,3 +223,56 @@ def filter_robots(ranges, active, guard, early, commands, first, last):
         x, y = nearest_allowed(u_x, u_y, planes, count)
         if x != u_x or y != u_y:
             commands[m, 0], commands[m, 1] = x, y
+
+
+@kernel
+def _slowest_of_returns(ranges, guard, arcs, resting, along, turn):
+    """Speed to which returns limit a robot that wants to roll ``along`` while it turns; and the least gap [m].
+
+    Of a return, what counts is how far it is from where the robot would come to rest, and how straight the robot may
+    come to drive at it: its bearing from the direction of travel, less all that the robot turns meanwhile.
+    """
+    limit, least = abs(along), np.inf
+    ahead = 1.0 if along >= 0.0 else -1.0
+    turning = arcs.slack + abs(turn) * arcs.hold
+    cos, sin = np.cos(resting[2]), np.sin(resting[2])
+    reach = guard.circumradius + guard.min_gap + limit / guard.rate + np.hypot(resting[0], resting[1])
+    for k in range(ranges.shape[0]):
+        distance = _confirmed(ranges, k, guard.range_min, guard.range_max)
+        if distance >= reach:
+            continue
+        x, y = distance * guard.directions[k, 0] - resting[0], distance * guard.directions[k, 1] - resting[1]
+        gap = np.hypot(x, y) - guard.circumradius
+        least = min(least, gap)
+        off = np.arctan2(abs(cos * y - sin * x), ahead * (cos * x + sin * y)) - turning
+        if off < 0.5 * np.pi:
+            limit = min(limit, guard.rate * max(gap - guard.min_gap, 0.0) / np.cos(max(off, 0.0)))
+    return limit, least
+
+
+@kernel
+def filter_rolling(ranges, active, guard, arcs, early, resting, commands, first, last):
+    """Turn commands of differential bases into a speed and a turn rate, in place, and limit the speed.
+
+    Args:
+        ranges: Newest scans [m], shape (M, R).
+        active: Robots that exist, shape (M,).
+        guard: ``SafetyRules``; the outline is the circle around it.
+        arcs: ``Arcs``.
+        early: Whether scans may still be missing because the run has just begun.
+        resting: Odometry, shape (M, 3) [m, m, rad]; zeros where there is none.
+        commands: Body twists, shape (M, 3) [m/s, m/s, rad/s].
+        first: First robot.
+        last: One behind the last.
+    """
+    for m in range(first, last):
+        along, turn = roll(commands[m, 0], commands[m, 1], commands[m, 2], arcs.wheels)
+        if active[m] and (along != 0.0 or turn != 0.0):
+            if _is_blind(ranges[m], early):
+                along, turn = 0.0, 0.0
+            else:
+                limit, least = _slowest_of_returns(ranges[m], guard, arcs, resting[m], along, turn)
+                along = min(max(along, -limit), limit)
+                if least <= 0.0 and not guard.body.is_circle:
+                    turn = 0.0
+        commands[m, 0], commands[m, 1], commands[m, 2] = along, 0.0, turn

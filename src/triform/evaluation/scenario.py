@@ -12,7 +12,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from triform.control import ControllerSpec, SafetyFilter, SafetySettings, control_steps, make_controller, reaction_time
+from triform.control import (
+    ControllerSpec,
+    SafetyFilter,
+    SafetySettings,
+    control_steps,
+    make_controller,
+    reaction_time,
+    rolling_arcs,
+)
 from triform.evaluation.events import Event, EventRun, run_event
 from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
@@ -110,6 +118,8 @@ class Scenario:
         )
         # Looked up once: files may change later, and are not there on the other machines of a cluster.
         robot = self.overrides.applied_to(get_profile(self.profile), self.distance)
+        if self.simulator == "gazebo" or self.base == "mecanum":
+            robot.require_holonomic("Gazebo" if self.simulator == "gazebo" else "a base of mecanum wheels")
         object.__setattr__(self, "_robot", robot)
         object.__setattr__(self, "_arena", get_arena(self.arena))
 
@@ -149,12 +159,15 @@ class Scenario:
         if not self.guard or isinstance(controller, SafetyFilter):
             return controller
         robot, drive, lidar = self.robot, self.drive_limits, self.robot.lidar
-        # A limit of acceleration counts as the lag with which a robot at full speed brakes on the same way.
-        fastest = min(drive.max_speed, drive.max_axis_speed)
-        lag = drive.lag + fastest / (2 * drive.max_acceleration)
-        reaction = reaction_time(robot.control_period, lidar.period, robot.latency, lidar.rolling, lag)
-        limits = {"max_speed": drive.max_speed, "max_axis_speed": drive.max_axis_speed}
-        return SafetyFilter(controller, SafetySettings(robot.footprint.size, reaction=reaction, **limits))
+        period = robot.control_period
+        reaction = reaction_time(period, lidar.period, robot.latency, lidar.rolling, drive.braking_lag)
+        settings = SafetySettings(
+            robot.footprint.size, reaction=reaction, max_speed=drive.max_speed, max_axis_speed=drive.max_axis_speed
+        )
+        if drive.wheels is not None:
+            arcs = rolling_arcs(drive.wheels, period, drive.turning_lag, 0.0 if robot.odometry else reaction)
+            settings = replace(settings, arcs=arcs)
+        return SafetyFilter(controller, settings)
 
     def sample_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
         """Return random starts, shape (runs, robots, 3) [m, m, rad]: functions of (robots, seed, index) and event."""

@@ -106,6 +106,7 @@ class DriveConfig:
 
     def __post_init__(self) -> None:
         convert_fields(self)
+        self.kind.require_holonomic("triform drive with its RoboMaster")
         farthest = self.model.range_max / SENSING_RANGE
         require(
             0 < self.distance <= farthest,
@@ -216,8 +217,11 @@ class DriveConfig:
             return controller
         lag, period = self.kind.drive.lag, self.control_period
         reaction = reaction_time(period, self.model.period, self.kind.latency, rolling=True, lag=lag)
-        limits = {"max_speed": self.limits.max_speed, "max_axis_speed": self.limits.max_axis_speed}
-        return SafetyFilter(controller, SafetySettings(self.outline, reaction=reaction, **limits))
+        speed, axis_speed = self.limits.max_speed, self.limits.max_axis_speed
+        return SafetyFilter(
+            controller,
+            SafetySettings(self.outline, reaction=reaction, max_speed=speed, max_axis_speed=axis_speed),
+        )
 
 
 class DriveListener(Protocol):

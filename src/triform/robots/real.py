@@ -14,7 +14,7 @@ from triform.control.sight import BLIND_TURNS, Sight, has_sight
 from triform.robots.laser_scan import Turn
 from triform.robots.odometry import is_motion, is_place
 from triform.simulation import Drive, Placement, limit_twists
-from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
+from triform.simulation.noise import noise_in_body, noise_keys
 from triform.simulation.odometry import relative_poses, resting_poses
 from triform.types import FloatArray, RangeArray, Scan, ScanConfig, TriformError, View, require
 
@@ -154,7 +154,6 @@ class RealRobot:
         self.control_period = control_period
         self._limits = limits
         self._keys = noise_keys([np.random.SeedSequence(seed)], 1)
-        self._noise_scale = noise_scale(limits)
         self._odometry = odometry
         self._timeout = scan_timeout
         self._on_sent, self._warn = on_sent, warn
@@ -192,12 +191,15 @@ class RealRobot:
         ranges = self._ranges
         if turn is None or old:
             ranges = np.full_like(ranges, np.nan if old else np.inf)
+        then, resting = (None, None) if turn is None else self._poses(turn, now)
+        heading = np.zeros((1, 1)) if resting is None else resting[..., 2]
+        moved = None if then is None or resting is None else relative_poses(resting, then, _ONE)
         self._view = View(
             scans=Scan(ranges[None, None], self._placement.scan),
             active=_ONE,
             time=now - self._started,
-            noise=self._noise_scale * exploration_noise(self._keys, 1, now - self._started),
-            odometry=None if turn is None or not self._odometry else self._moved(turn, now),
+            noise=noise_in_body(self._keys, self._limits, now - self._started, heading),
+            odometry=moved,
         )
         return self._view
 
@@ -244,21 +246,20 @@ class RealRobot:
         self._sight.note(has_sight(masked, placement.looks))
         self._ranges = placement.from_base(masked)
 
-    def _moved(self, turn: Turn, now: float) -> FloatArray | None:
-        """Pose at rest in the frame of the robot in the middle of a turn, shape (1, 1, 3).
+    def _poses(self, turn: Turn, now: float) -> tuple[FloatArray | None, FloatArray | None]:
+        """Poses in the middle of a turn and at rest after now, shape (1, 1, 3).
 
-        ``None`` if it is not known, or if the robot cannot have moved as its odometry says.
+        ``None`` if they are not known, or if the robot cannot have moved as its odometry says.
         """
-        if self._base is None:
-            return None
+        if self._base is None or not self._odometry:
+            return None, None
         moments = ((turn.started + turn.ended) / 2, now - _SPEED_TIME, now)
         then, before, here = (self._base.odometry(moment) for moment in moments)
         if then is None or before is None or here is None or not is_place(np.array([then, before, here])):
-            return None
+            return None, None
         speed = min(self._limits.max_speed, math.sqrt(2) * self._limits.max_axis_speed)
         fastest = np.array([speed, speed, self._limits.max_turn_rate])
         come, last = (relative_poses(here[None, None], pose[None, None], _ONE) for pose in (then, before))
         if not (is_motion(come, now - moments[0], fastest) and is_motion(last, _SPEED_TIME, fastest)):
-            return None
-        velocity = last / _SPEED_TIME
-        return relative_poses(resting_poses(here[None, None], velocity, self._limits), then[None, None], _ONE)
+            return None, None
+        return then[None, None], resting_poses(here[None, None], last / _SPEED_TIME, self._limits)

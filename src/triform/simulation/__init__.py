@@ -12,7 +12,6 @@ from triform.simulation.profiles import (
     FOOTPRINTS,
     HARDWARE,
     IDEAL,
-    PROFILES,
     ROBOMASTER_EP,
     Drive,
     Footprint,
@@ -20,8 +19,8 @@ from triform.simulation.profiles import (
     NoiseBand,
     Profile,
     constant_noise,
-    get_profile,
 )
+from triform.simulation.shipped import PROFILES, get_profile
 from triform.simulation.simulated import SimulatedTeam
 from triform.simulation.spawn_kernels import is_connected
 from triform.simulation.spawning import load_starts, sample_addition, sample_starts, world_seeds

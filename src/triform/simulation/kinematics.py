@@ -1,13 +1,16 @@
-"""Kinematics of an omnidirectional base (Eq. 1-2): limits, lag and motion.
+"""Kinematics of a base (Eq. 1-2): limits, lag and motion.
 
 The base steers its body twist ``v`` to the limited command ``u`` by ``v' = (u - v) / lag`` with ``|v'|``
 bounded, and moves by ``p' = R(heading) v``. Commands, limits and lag act in the body frame.
+
+A differential base differs in the limited command alone: it has no speed to the side, and so never gets one.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from triform.geometry.unicycle import Wheels, roll
 from triform.kernels import kernel
 from triform.simulation.drive_kernels import advance_pose, drive_team, limit_twist
 from triform.simulation.profiles import Drive
@@ -53,17 +56,28 @@ def _limit_into(twists: FloatArray, max_speed: float, max_axis_speed: float, max
         )
 
 
-def limit_twists(twists: FloatArray, drive: Drive) -> FloatArray:
-    """Return ``twists``, shape (..., 3), as the base accepts them.
+@kernel
+def _roll_into(twists: FloatArray, wheels: Wheels) -> None:
+    for i in range(twists.shape[0]):
+        along, turn = roll(twists[i, 0], twists[i, 1], twists[i, 2], wheels)
+        twists[i, 0], twists[i, 1], twists[i, 2] = along, 0.0, turn
 
-    The translation is shortened to ``max_speed`` in its own direction; then x and y are each clipped to
-    ``max_axis_speed`` and the turn rate to ``max_turn_rate``.
+
+def limit_twists(twists: FloatArray, drive: Drive) -> FloatArray:
+    """Return ``twists``, shape (..., 3), as the base drives them.
+
+    Holonomic: the translation is shortened to ``max_speed`` in its own direction; then x and y are each clipped to
+    ``max_axis_speed`` and the turn rate to ``max_turn_rate``. Differential: ``triform.geometry.unicycle.roll``.
 
     Raises:
         ConfigurationError: If the twists are malformed.
     """
     limited = np.array(as_array("twists", twists))
     require(limited.shape[-1:] == (3,), f"twists of shape {limited.shape} given; (..., 3) is needed")
+    wheels = drive.wheels
+    if wheels is not None:
+        _roll_into(limited.reshape(-1, 3), wheels)
+        return limited
     _limit_into(limited.reshape(-1, 3), float(drive.max_speed), float(drive.max_axis_speed), float(drive.max_turn_rate))
     return limited
 

@@ -1,4 +1,4 @@
-"""Exploration noise: two standard normal numbers for every robot and every half second.
+"""Exploration noise: two standard normal numbers for every robot and every half second, longer where robots must turn.
 
 They are a function of the world's seed, the robot and the time alone, so that nothing has to be remembered, and what
 one robot draws does not depend on how many others there are.
@@ -6,6 +6,7 @@ one robot draws does not depend on how many others there are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -51,9 +52,19 @@ def noise_scale(drive: Drive) -> float:
     """Share of its full size that exploration noise has for robots with this base.
 
     That of a slow base is smaller in proportion, because what is cut to one speed, noise and command alike, would be
-    hardly anything but noise.
+    hardly anything but noise. That of a differential base lasts longer, and is smaller in proportion: so robots come as
+    far by it.
     """
-    return min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_NOISE_SPEED)
+    share = min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_NOISE_SPEED)
+    return share * NOISE_PERIOD / noise_period(drive) if drive.is_differential else share
+
+
+def noise_period(drive: Drive) -> float:
+    """How long a robot with this base holds its noise [s]: ``NOISE_PERIOD`` after the longest turn to its direction."""
+    wheels = drive.wheels
+    if wheels is None:
+        return NOISE_PERIOD
+    return NOISE_PERIOD + (0.5 if wheels.reverses else 1.0) * math.pi / wheels.max_turn_rate
 
 
 def noise_keys(seeds: Sequence[np.random.SeedSequence], worlds: int) -> NDArray[np.uint64]:
@@ -62,17 +73,39 @@ def noise_keys(seeds: Sequence[np.random.SeedSequence], worlds: int) -> NDArray[
     return np.array([seed.generate_state(1, np.uint64)[0] for seed in chosen], dtype=np.uint64)
 
 
-def exploration_noise(keys: NDArray[np.uint64], robots: int, time: float) -> FloatArray:
+def exploration_noise(keys: NDArray[np.uint64], robots: int, time: float, period: float = NOISE_PERIOD) -> FloatArray:
     """Standard normal numbers of all robots at a time.
 
     Args:
         keys: Of every world, from ``noise_keys``, shape (B,).
         robots: Robots of each world, N.
         time: Time since the start [s].
+        period: How long the numbers stay the same [s].
 
     Returns:
-        Shape (B, N, 2); they stay the same for ``NOISE_PERIOD``.
+        Shape (B, N, 2).
     """
     out = np.empty((len(keys), robots, 2))
-    _fill(keys, int((time + _SAME_TIME) / NOISE_PERIOD), out)
+    _fill(keys, int((time + _SAME_TIME) / period), out)
     return out
+
+
+def noise_in_body(keys: NDArray[np.uint64], drive: Drive, time: float, headings: FloatArray) -> FloatArray:
+    """Exploration noise as a view offers it: in the robots' own frames, of the size that their base is fit for.
+
+    A differential robot turns to where its noise points, so there the noise keeps its direction while it lasts.
+
+    Args:
+        keys: Of every world, from ``noise_keys``, shape (B,).
+        drive: Base of the robots.
+        time: Time since the start [s].
+        headings: By odometry, from any beginning [rad], shape (B, N).
+
+    Returns:
+        Shape (B, N, 2).
+    """
+    noise = noise_scale(drive) * exploration_noise(keys, headings.shape[1], time, noise_period(drive))
+    if not drive.is_differential:
+        return noise
+    cos, sin = np.cos(headings), np.sin(headings)
+    return np.stack([cos * noise[..., 0] + sin * noise[..., 1], cos * noise[..., 1] - sin * noise[..., 0]], axis=-1)

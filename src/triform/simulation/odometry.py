@@ -7,9 +7,12 @@ import math
 import numpy as np
 
 from triform.geometry import wrap_angle
-from triform.simulation.kinematics import integrate
+from triform.simulation.kinematics import integrate, steer
 from triform.simulation.profiles import Drive
 from triform.types import BoolArray, FloatArray
+
+#: Parts of the time that wheels need to slow down; the poses at its end are accurate to second order in their length.
+_RAMP_STEPS = 16
 
 
 def relative_poses(poses: FloatArray, origin: FloatArray, active: BoolArray) -> FloatArray:
@@ -43,10 +46,29 @@ def resting_poses(poses: FloatArray, velocities: FloatArray, drive: Drive) -> Fl
     Returns:
         Shape (..., 3); where nothing limits the acceleration and nothing lags, ``poses``.
     """
+    if drive.is_differential:
+        return _rolled_out(poses, velocities, drive)
     speed = np.linalg.norm(velocities[..., :2], axis=-1, keepdims=True)
     time = braking_time(speed, drive.max_acceleration, drive.lag)
     turning = braking_time(np.abs(velocities[..., 2:]), drive.max_turn_acceleration, drive.lag)
     return integrate(poses, np.concatenate([velocities[..., :2] * time, velocities[..., 2:] * turning], axis=-1), 1.0)
+
+
+def _rolled_out(poses: FloatArray, velocities: FloatArray, drive: Drive) -> FloatArray:
+    """Poses at the end of the arcs on which wheels come to rest, shape (..., 3).
+
+    While a limit of acceleration holds, speed and turn rate fall at rates of their own, and the arc changes; afterwards
+    both fall in proportion, and the rest is one arc.
+    """
+    ramps = [
+        np.max(np.abs(velocities[..., axis]) / limit, initial=0.0) - drive.lag if limit < math.inf else 0.0
+        for axis, limit in ((0, drive.max_acceleration), (2, drive.max_turn_acceleration))
+    ]
+    ramp = max(0.0, *ramps)
+    if ramp > 0.0:
+        for _ in range(_RAMP_STEPS):
+            poses, velocities = steer(poses, velocities, np.zeros_like(poses), drive, ramp / _RAMP_STEPS)
+    return integrate(poses, drive.lag * velocities, 1.0)
 
 
 def braking_time(speed: FloatArray, acceleration: float, lag: float) -> FloatArray:

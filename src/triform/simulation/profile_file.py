@@ -123,12 +123,16 @@ def profile_toml(profile: Profile) -> str:
         f"blind_sectors = {[[float(each) for each in sector] for sector in mounting.blind_sectors]}"
         "  # where only the robot itself is, [from, to] counter-clockwise from the front [deg]",
         "",
-        "[drive]  # holonomic base; inf is no limit",
+        "[drive]  # inf is no limit",
+        f'base = "{drive.base}"  # holonomic, or differential: two driven wheels, whose axle is in the middle',
         f"max_speed = {float(drive.max_speed)!r}  # [m/s]",
         f"max_axis_speed = {float(drive.max_axis_speed)!r}  # along x and along y [m/s]",
         f"max_turn_rate = {float(drive.max_turn_rate)!r}  # [rad/s]",
         f"max_acceleration = {float(drive.max_acceleration)!r}  # [m/s^2]",
         f"max_turn_acceleration = {float(drive.max_turn_acceleration)!r}  # [rad/s^2]",
         f"lag = {float(drive.lag)!r}  # time constant of the base [s]",
+        f"track = {float(drive.track)!r}  # of a differential base: distance between its wheels [m]",
+        f"max_wheel_speed = {float(drive.max_wheel_speed)!r}  # of one of these wheels [m/s]",
+        f"reverse = {str(drive.reverse).lower()}  # whether a differential base may drive backwards",
     ]
     return "\n".join(lines) + "\n"

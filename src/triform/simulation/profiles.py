@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from triform.geometry.unicycle import Wheels
 from triform.simulation.mounting import Mounting
 from triform.types import (
     Body,
     ConfigurationError,
     FloatArray,
     ScanConfig,
-    choose,
     convert_fields,
-    converted,
     nearest,
     require,
 )
+
+#: Kinds of bases.
+BASES = ("holonomic", "differential")
 
 
 def _is_positive(value: float) -> bool:
@@ -220,6 +221,11 @@ class Drive:
         max_acceleration: Largest norm of the translational acceleration [m/s^2].
         max_turn_acceleration: Largest angular acceleration [rad/s^2].
         lag: Time constant of the first-order actuator lag [s]; 0 means none.
+        base: ``"holonomic"``, or ``"differential"``: two driven wheels on an axle through the centre, which turn the
+            robot to where it is to go. ``max_speed`` is then the speed along its axis.
+        track: Distance between the wheels of a differential base [m].
+        max_wheel_speed: Largest speed of one of these wheels [m/s].
+        reverse: Whether a differential base may drive backwards.
     """
 
     max_speed: float = 0.5
@@ -228,13 +234,52 @@ class Drive:
     max_acceleration: float = math.inf
     max_turn_acceleration: float = math.inf
     lag: float = 0.0
+    base: Literal["holonomic", "differential"] = "holonomic"
+    track: float = 0.0
+    max_wheel_speed: float = math.inf
+    reverse: bool = True
 
     def __post_init__(self) -> None:
         convert_fields(self)
-        for name in ("max_speed", "max_axis_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration"):
+        for name in (
+            "max_speed", "max_axis_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration",
+            "max_wheel_speed",
+        ):  # fmt: skip
             value = getattr(self, name)
             require(value > 0, f"{name} is {value}; it must be positive (inf for no limit)")
         require(0 <= self.lag < math.inf, f"lag is {self.lag} s; it must be finite and not negative")
+        require(self.base in BASES, f"base is {self.base!r}; allowed are {', '.join(BASES)}")
+        require(0 <= self.track < math.inf, f"track is {self.track} m; it must be finite and not negative")
+        require(
+            not self.is_differential or self.max_turn_rate < math.inf,
+            "max_turn_rate is inf; a differential base turns to where it is to go, so its turn rate has a limit",
+        )
+
+    @property
+    def is_differential(self) -> bool:
+        """Whether the base has two driven wheels."""
+        return self.base == "differential"
+
+    @property
+    def braking_lag(self) -> float:
+        """Lag with which a robot at full speed would brake on the way that its limit of acceleration takes [s]."""
+        return self.lag + min(self.max_speed, self.max_axis_speed) / (2 * self.max_acceleration)
+
+    @property
+    def turning_lag(self) -> float:
+        """The same for the fastest turn of a differential base [s]."""
+        return self.lag + self.max_turn_rate / (2 * self.max_turn_acceleration)
+
+    @property
+    def wheels(self) -> Wheels | None:
+        """The limits of a differential base as kernels take them; ``None`` for a holonomic one."""
+        if not self.is_differential:
+            return None
+        speed = min(self.max_speed, self.max_axis_speed)
+        # Kernels are compiled for floats alone.
+        return Wheels(
+            float(speed), float(self.max_turn_rate), self.track / 2, float(self.max_wheel_speed), self.reverse
+        )
 
 
 @dataclass(frozen=True)
@@ -275,6 +320,20 @@ class Profile:
         """Return these robots with a LiDAR that looks up to ``reach`` far [m]."""
         return replace(self, lidar=replace(self.lidar, scan=replace(self.lidar.scan, range_max=reach)))
 
+    def require_holonomic(self, body: str) -> None:
+        """Refuse a differential base.
+
+        Args:
+            body: What drives holonomic robots alone, for the sentence that refuses.
+
+        Raises:
+            ConfigurationError: The base is differential.
+        """
+        require(
+            not self.drive.is_differential,
+            f"the profile {self.name!r} has a differential base, and {body} drives holonomic robots alone",
+        )
+
     @property
     def from_lidar(self) -> ScanConfig:
         """The scan from where the LiDAR is: as far beyond what the robot uses as the LiDAR is off its centre."""
@@ -303,23 +362,3 @@ HARDWARE = Profile(
     control_period=1 / 8,
     latency=0.12,
 )
-
-#: Profiles by name.
-PROFILES = {profile.name: profile for profile in (IDEAL, HARDWARE)}
-
-
-def get_profile(name: str) -> Profile:
-    """Return a profile by its name, or from a TOML file.
-
-    Args:
-        name: One of ``PROFILES``, or the path of a file that ends in ``.toml``.
-
-    Raises:
-        ConfigurationError: There is no such profile, or the file holds what is not allowed.
-    """
-    name = converted("profile", name, str)
-    if name.endswith(".toml"):
-        from triform.simulation.profile_file import read_profile
-
-        return read_profile(Path(name))
-    return choose("profile", name, PROFILES, " and your own as FILE.toml")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from triform.simulation.lidar import angle_offsets, apply_noise
 from triform.simulation.mounting import Mounting, Placement
-from triform.simulation.noise import exploration_noise, noise_keys, noise_scale
+from triform.simulation.noise import noise_in_body, noise_keys
 from triform.simulation.odometry import halfway, relative_poses, resting_poses
 from triform.simulation.profiles import Profile
 from triform.types import (
@@ -77,7 +77,6 @@ class SensorSuite:
         self._seeds = _sequences(seeds, len(poses), self._noisy)
         self._rngs: dict[tuple[int, int], np.random.Generator] = {}
         self._noise_keys = noise_keys(self._seeds, len(poses))
-        self._noise_scale = noise_scale(profile.drive)
         self._turn = 0
         self._next_ray = 0
         # Until there is a scan, one number stands for all rays.
@@ -187,15 +186,15 @@ class SensorSuite:
         ready = time - self._profile.latency + _SAME_TIME
         while self._finished and self._finished[0][0] <= ready:
             _, self._newest, self._shown = self._finished.popleft()
-        odometry = None
-        if self._profile.odometry:
-            odometry = relative_poses(resting_poses(poses, velocities, self._profile.drive), self._shown, active)
+        drive = self._profile.drive
+        resting = resting_poses(poses, velocities, drive)
+        odometry = relative_poses(resting, self._shown, active) if self._profile.odometry else None
         return PrivilegedView(
             scans=Scan(self._newest, self._profile.lidar.scan),
             active=active.copy(),
             time=time,
             poses=poses.copy(),
-            noise=self._noise_scale * exploration_noise(self._noise_keys, active.shape[1], time),
+            noise=noise_in_body(self._noise_keys, drive, time, np.where(active, resting[..., 2], 0.0)),
             odometry=odometry,
         )
 

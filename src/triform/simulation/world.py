@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 from triform.simulation.arena import Arena, get_arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
 from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, scan_rays
-from triform.simulation.profiles import Profile, get_profile
+from triform.simulation.profiles import Profile
 from triform.simulation.ray_kernels import Scene
 from triform.simulation.sensors import SensorSuite, padded
+from triform.simulation.shipped import get_profile
 from triform.simulation.spawning import sample_starts, world_seeds
 from triform.simulation.world_kernels import Contacts, LidarTurn, Motion, advance_worlds, record_contacts
 from triform.threads import in_parts

@@ -110,6 +110,7 @@ class GazeboServer:
             GazeboError: If Gazebo is missing or does not start.
             ConfigurationError: If a value is outside what is allowed.
         """
+        profile.require_holonomic("Gazebo")
         require(robots >= 1 and spare >= 0, f"{robots} robots and {spare} spare ones; at least 1 and 0 are needed")
         require(drive in ("planar", "mecanum"), f"drive is {drive!r}; allowed are planar, mecanum")
         require(0 < time_step < np.inf, f"time_step is {time_step} s; it must be positive and finite")
