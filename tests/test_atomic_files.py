@@ -25,7 +25,7 @@ for name in sys.argv[2].split():
     sys.modules[name] = None
 del signal.SIGHUP, os.sched_getaffinity, os.fork, os.openpty, os.geteuid
 from pathlib import Path
-import triform.cli, triform.commands.evaluate, triform.robots.drive, triform.timing.robot
+import triform.cli, triform.commands.collect, triform.robots.drive, triform.timing.robot
 from triform.files import exclusive, write_atomically
 from triform.signals import StopSignals
 for name in triform.__all__:

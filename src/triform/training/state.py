@@ -29,9 +29,9 @@ def save_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer, 
     for index, values in optimizer.state_dict()["state"].items():
         for name, value in values.items():
             tensors[f"{_OPTIMIZER}{index}.{name}"] = torch.as_tensor(value).detach().cpu().contiguous()
-    said = json.dumps(progress)
-    metadata = {"progress": said, "sha256": _checksum(said, tensors)}
-    write_atomically(path, safetensors.torch.save(tensors, metadata))
+    # One entry, because safetensors writes several in any order, and states are equal to the bit.
+    signed = {"sha256": _checksum(progress, tensors), "progress": progress}
+    write_atomically(path, safetensors.torch.save(tensors, {"signed": json.dumps(signed)}))
 
 
 def load_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, Any]:
@@ -45,10 +45,11 @@ def load_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer) 
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no mapping
         # States that were saved by earlier versions have no checksum.
-        if set(metadata) != {"progress"} and metadata.get("sha256") != _checksum(metadata["progress"], tensors):
+        signed = json.loads(metadata["signed"]) if "signed" in metadata else None
+        progress: dict[str, Any] = signed["progress"] if signed else json.loads(metadata["progress"])
+        if signed and signed["sha256"] != _checksum(progress, tensors):
             raise ValueError("its checksum differs")
-        progress: dict[str, Any] = json.loads(metadata["progress"])
-    except (OSError, SafetensorError, KeyError, ValueError) as error:
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise TriformError(f"cannot resume from {path}: it is damaged or no training state: {error}") from error
     try:
         module.load_state_dict(
@@ -65,9 +66,9 @@ def load_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer) 
     return progress
 
 
-def _checksum(progress: str, tensors: dict[str, Tensor]) -> str:
+def _checksum(progress: dict[str, Any], tensors: dict[str, Tensor]) -> str:
     """Checksum of all that a state says."""
-    digest = hashlib.sha256(progress.encode())
+    digest = hashlib.sha256(json.dumps(progress).encode())
     for name in sorted(tensors):
         tensor = tensors[name]
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
