@@ -214,7 +214,7 @@ def test_an_evaluation_takes_text_for_paths_and_numpys_numbers() -> None:
     config = EvaluateConfig(robots=np.array([5, 7]), runs=np.int64(3), json="x.json", starts=PurePosixPath("s.npy"))
     assert config == EvaluateConfig(robots=(5, 7), runs=3, json=Path("x.json"), starts=Path("s.npy"))
     assert [type(each) for each in (*config.robots, config.runs)] == [int] * 3
-    assert config.per_run_file == Path("x.parquet")
+    assert [type(each) for each in (config.json, config.starts)] == [type(Path())] * 2
 
 
 #: Values that attributes without a default have, where they matter.

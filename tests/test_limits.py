@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import re
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from triform import limits
 from triform.cli import main
+from triform.experiments.settings import warn_of_time
 from triform.limits import check_threads, memory, require_at_most, require_memory
-from triform.types import ConfigurationError
+from triform.report.page import read_sections
+from triform.types import ConfigurationError, TriformError
 
 
 @pytest.mark.parametrize(
@@ -33,6 +39,10 @@ from triform.types import ConfigurationError
         "collect --out data --steps 1000000000",
         "collect --out data --placements 1000000000",
         "collect --out data --workers 1000000000",
+        "bench --seconds 1e300",
+        "bench --rate 1e300",
+        "emulate --latency 1e300",
+        "emulate --index 9223372036854775808",
         "train --out run --maps 1000000000000000",
         "train --out run --producers 1000000000",
         "train --out run --threads 1000000000",
@@ -51,9 +61,9 @@ def test_absurd_numbers_are_wrong_usage(arguments: str, capsys: pytest.CaptureFi
     ["evaluate --robots 3 --duration 1000", "demo --robots 3 --duration 1000", "collect --out data --steps 1000000"],
 )
 def test_more_memory_than_there_is_is_refused_before_any_work(
-    arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: object
+    arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.chdir(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(limits, "memory", lambda: 2**20)
     assert main(arguments.split()) == 1
     said = capsys.readouterr().err
@@ -77,3 +87,45 @@ def test_what_is_omitted_is_within_all_limits() -> None:
     for threads, says in ((0, "at least 1"), (10**9, "at most 4,096")):
         with pytest.raises(ConfigurationError, match=says):
             check_threads(threads)
+
+
+def test_the_threads_of_an_evaluation_share_the_memory(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # One thread holds about 27 MB of these runs.
+    monkeypatch.setattr(limits, "memory", lambda: 200_000_000)
+    command = ["evaluate", "--controller", "expert", "--robots", "5", "--runs", "500", "--duration", "20", "--threads"]
+    assert main([*command, "64"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("triform: the runs of 64 threads at once (option threads) would need about")
+    assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("work", "said"), [(1e6, ""), (86400.0 * 5000 * 2 * 10, "about 10 days on 2 threads")])
+def test_work_of_days_says_so_before_it_begins(work: float, said: str, listener: Any) -> None:
+    warn_of_time(work, 2, listener)
+    shown = listener.console.file.getvalue().replace("\n", " ")
+    assert said in shown
+    assert bool(shown) == bool(said)
+
+
+@pytest.mark.parametrize("shape", [(10**9, 10**6, 3), (10**9, 0, 0, 3), (10**9, 5), (0, 5)])
+@pytest.mark.parametrize("command", ["measure --rate 10", "evaluate --controller expert --starts"])
+def test_arrays_that_claim_more_than_they_hold_are_refused_at_once(
+    command: str, shape: tuple[int, ...], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    path = tmp_path / "array.npy"
+    path.write_bytes(header.getvalue())
+    assert path.stat().st_size == 128
+    assert main([*command.split(), str(path)]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"triform: {path} ")
+    assert len(said.splitlines()) == 1
+
+
+def test_json_that_nests_without_end_is_no_result(tmp_path: Path) -> None:
+    (tmp_path / "fig2.json").write_text(100_000 * "[")
+    with pytest.raises(TriformError, match="not written by triform reproduce"):
+        read_sections(tmp_path, ["fig2"])

@@ -55,7 +55,6 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(block("python", "class Springs"))
     Path("robot.toml").write_text(block("toml", 'name = "mine"'))
-    Path("like-turtlebot4.toml").write_text(block("toml", "like-turtlebot4"))
     Path("hall.toml").write_text(block("toml", 'name = "hall"'))
     return tmp_path
 

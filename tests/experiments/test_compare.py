@@ -44,7 +44,7 @@ def table_rows(text):
 
 
 def test_all_files_of_a_comparison_are_written(folder):
-    names = {path.name for path in folder.iterdir()} - {".lock"}
+    names = {path.name for path in folder.iterdir()}
     assert names == {"compare.json", "compare.parquet", "compare.md", "compare.html"}
     page = (folder / "compare.md").read_text()
     rows = table_rows(page)

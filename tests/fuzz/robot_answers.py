@@ -21,7 +21,7 @@ import numpy as np
 
 from triform.control import ControllerSpec
 from triform.robots.drive import DriveConfig
-from triform.robots.ldrobot import Turn
+from triform.robots.laser_scan import Turn
 from triform.robots.odometry import Track
 from triform.robots.real import RealRobot
 from triform.robots.robomaster import RoboMaster, RoboMasterEmulator, RoboMasterError

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import struct
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -11,9 +12,10 @@ import numpy as np
 import pytest
 import torch
 
+from triform.decode import checksum
 from triform.files import sha256
 from triform.policy import NetworkConfig, PackedMaps, PolicyRuntime, PolicySpec, pack, read_spec
-from triform.policy.checkpoint import graph_path, weights_path
+from triform.policy.checkpoint import graph_path, read_weights, weights_name, weights_path, write_policy
 from triform.policy.export import export_policy
 from triform.policy.vit import VisionTransformer, token_batch
 from triform.policy.weights import load_policy, save_policy
@@ -360,3 +362,91 @@ def test_descriptions_that_make_no_sense_are_refused(change: dict, says: str) ->
 def test_a_network_for_other_maps_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="cells"):
         PolicySpec(NetworkConfig(), ScanConfig(), MapConfig(size=50))
+
+
+def some_policies(tmp_path: Path, count: int) -> list[tuple[PolicySpec, bytes]]:
+    """Descriptions and weights of policies that are told apart by their ``rest_speed``."""
+    found = []
+    for number in range(count):
+        torch.manual_seed(number)
+        save_policy(tmp_path / "each", VisionTransformer(SPEC.network), replace(SPEC, rest_speed=0.01 * number))
+        found.append(read_weights(tmp_path / "each"))
+    return found
+
+
+def test_a_policy_takes_the_place_of_another_and_of_nothing_else(exported: Path, tmp_path: Path) -> None:
+    folder = copy(exported, tmp_path / "policy")
+    strangers = {"README.md", "model-mine.safetensors", "model.onnx.txt", "best.onnx"}
+    for name in strangers:
+        (folder / name).write_bytes(b"not ours")
+    ((spec, weights),) = some_policies(tmp_path, 1)
+    write_policy(folder, spec, weights)
+    assert {f.name for f in folder.iterdir()} == strangers | {"model.json", weights_name(spec)}
+    export_policy(folder, some_maps(5))
+    assert {f.name for f in folder.iterdir()} == strangers | {"model.json", weights_name(spec), graph_file(folder).name}
+    # Shipped policies and old ones have plain names; they are replaced all the same.
+    old = tmp_path / "old"
+    old.mkdir()
+    for name, data in (("model.safetensors", weights), ("model.onnx", b""), ("model.json", spec.to_json().encode())):
+        (old / name).write_bytes(data)
+    assert read_weights(old) == (spec, weights)
+    export_policy(old, some_maps(5))
+    assert {f.name for f in old.iterdir()} == {"model.json", weights_name(spec), graph_file(old).name}
+
+
+def test_an_export_does_not_undo_a_save_that_came_between(exported: Path, tmp_path: Path) -> None:
+    folder = copy(exported, tmp_path / "policy")
+    before = read_spec(folder)
+    ((spec, weights),) = some_policies(tmp_path, 1)
+    write_policy(folder, spec, weights)
+    with pytest.raises(TriformError, match="another process has replaced the policy"):
+        write_policy(folder, before, b"weights", b"graph", instead_of=before)
+    assert read_weights(folder) == (spec, weights)
+
+
+def test_a_policy_is_read_whole_while_others_replace_it(tmp_path: Path) -> None:
+    policies = some_policies(tmp_path, 2)
+    folder, stop = tmp_path / "policy", threading.Event()
+    write_policy(folder, *policies[0])
+
+    def replace_it() -> None:
+        while not stop.is_set():
+            for each in policies:
+                write_policy(folder, *each)
+
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(replace_it)
+        try:
+            assert all(read_weights(folder) in policies for _ in range(200))
+        finally:
+            stop.set()
+        done.result()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"rest_speed": 1e30}, r"rest_speed is 1e\+30 m/s; it must lie in \[0, 10\] m/s"),
+        ({"rest_speed": True}, "rest_speed is True; a number is needed"),
+        ({"distance": 1e9}, "distances"),
+        ({"distance": "1"}, "distance is '1'; a number is needed"),
+        (
+            {"scan": {"rays": True, "angle_min": 0.0, "range_min": 0.0, "range_max": 2.0}},
+            "rays is True; a whole number",
+        ),
+        ({"scan": {"rays": 450}}, "must hold exactly the values angle_min, range_max, range_min, rays"),
+        ({"network": {"dim": 10**9}}, "dim is 1000000000; it must be at least 1 and at most 4096"),
+        ({"network": {"attention": "some"}}, "attention is 'some'; it must be occupied or all"),
+        ({"network": []}, "it describes no network"),
+        ({"weights_sha256": "../../../elsewhere"}, "64 hexadecimal digits"),
+        ({"training": 7}, "training is 7; an object is needed"),
+    ],
+)
+def test_values_of_other_types_and_beyond_limits_are_refused(change: dict, says: str, exported: Path) -> None:
+    described = json.loads((exported / "model.json").read_text())
+    with pytest.raises(TriformError, match="checksum differs"):
+        PolicySpec.from_json(json.dumps(described | change).encode(), "here")
+    signed = {key: value for key, value in (described | change).items() if key not in ("format", "version", "sha256")}
+    for head in ({"version": 1}, {"version": 2, "sha256": checksum(signed)}):
+        with pytest.raises(TriformError, match=says):
+            PolicySpec.from_json(json.dumps({"format": "triform-policy"} | head | signed).encode(), "here")

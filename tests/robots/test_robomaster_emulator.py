@@ -210,12 +210,15 @@ def test_it_tells_where_it_is_and_how_it_moves(line, emulator):
 
 
 def test_it_moves_to_a_place_and_stands(line, emulator):
+    before = time.monotonic()
     assert line.ask("chassis move x 0.1 y 0.1 vxy 1 z 30 vz 300;") == "ok;"
-    way, seen = np.zeros(3), time.monotonic()
-    while (twist := emulator.command).any():
-        now = time.monotonic()
-        way, seen = way + twist * (now - seen), now
-    np.testing.assert_allclose(way, [0.1, -0.1, math.radians(30)], atol=0.03)
+    after = time.monotonic()
+    (there, ahead), (done, turning) = emulator._plan
+    assert before + math.hypot(0.1, 0.1) <= there <= after + math.hypot(0.1, 0.1)
+    np.testing.assert_allclose(ahead * math.hypot(0.1, 0.1), [0.1, -0.1, 0.0])
+    np.testing.assert_allclose(turning * (done - there), [0.0, 0.0, math.radians(30)])
+    until(lambda: not emulator.command.any())
+    assert time.monotonic() >= done
 
 
 def test_one_rate_holds_for_all_pushes(line, emulator):

@@ -21,6 +21,7 @@ from triform.training import PRESETS, Progress, TrainConfig, batches, train
 from triform.training.batches import FreshSource, StoredSource
 from triform.training.flat import FlatParameters
 from triform.training.loop import Learner, learning_rate, make_optimizer
+from triform.training.state import load_state, save_state
 from triform.types import ConfigurationError, TriformError
 
 TINY = TrainConfig(
@@ -198,6 +199,17 @@ def test_wrong_use_is_refused_and_loses_nothing(tmp_path: Path, data: Path) -> N
     (tmp_path / "run" / "state.safetensors").write_bytes(b"nonsense")
     with pytest.raises(TriformError, match="cannot resume"):
         train(TINY, tmp_path / "run", resume=True)
+    module = torch.nn.Linear(3, 2)
+    optimizer = torch.optim.AdamW(module.parameters())
+    path = tmp_path / "small.safetensors"
+    save_state(path, module, optimizer, {"step": 3, "best": 0.25})
+    whole, weights = path.read_bytes(), [each.detach().clone() for each in module.parameters()]
+    assert load_state(path, module, optimizer) == {"step": 3, "best": 0.25}
+    for k in range(0, 8 * len(whole), 7):
+        path.write_bytes(whole[: k // 8] + bytes([whole[k // 8] ^ 1 << k % 8]) + whole[k // 8 + 1 :])
+        with pytest.raises(TriformError, match="cannot resume"):
+            load_state(path, module, optimizer)
+        assert all(torch.equal(*pair) for pair in zip(module.parameters(), weights, strict=True))
     with pytest.raises(ConfigurationError, match="learning_rate"):
         replace(TINY, learning_rate=0.0)
     with pytest.raises(ConfigurationError, match="precision"):

@@ -13,6 +13,7 @@ from triform.commands.terminal import Terminal, given_options, maps_progress
 from triform.engines import EngineName, open_engine
 from triform.experiments.settings import warn_of_time
 from triform.limits import LARGEST_SEED, require_at_most, require_memory
+from triform.types import convert_fields
 
 #: Of one shard in memory, and of one worker; both are those of the presets.
 _BYTES_PER_MAP, _MAPS_PER_SECOND = 500.0, 20_000
@@ -53,6 +54,7 @@ class Collect:
     }
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         require_at_most("seed", self.seed, LARGEST_SEED)
         for name, most in (("runs", 10**6), ("steps", 10**6), ("placements", 10**8), ("workers", 4096)):
             require_at_most(name, getattr(self, name), most)

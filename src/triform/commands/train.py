@@ -10,6 +10,7 @@ from rich.console import Console
 
 from triform.commands.terminal import Terminal, given_options, maps_progress
 from triform.limits import LARGEST_SEED, check_threads, require_at_most
+from triform.types import convert_fields
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ class Train:
     }
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_threads(self.threads)
         require_at_most("seed", self.seed, LARGEST_SEED)
         for name, most in (("maps", 10**12), ("producers", 4096)):

@@ -11,6 +11,7 @@ import ipaddress
 import math
 import os
 import socket
+import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from functools import partial
@@ -98,8 +99,9 @@ class RayEngine:
     def close(self) -> None:
         """Let go of the cluster, or stop the Ray that was started here."""
         if not self._ask.give_up(ray.shutdown, _FAREWELL):
-            # At the end of the process it would be waited for again.
+            # At the end of the process it would be waited for again, and its threads would crash it.
             atexit.unregister(ray.shutdown)
+            atexit.register(_leave)
 
     def run(
         self, task: Task[Item, Result], items: Sequence[Item], on_progress: Report | None = None
@@ -159,6 +161,13 @@ class RayEngine:
             # Machines join and leave a cluster.
             self._workers, self._counted = max(1, int(ray.cluster_resources().get("CPU", 0))), now
         return self._at_once or 2 * self._workers
+
+
+def _leave() -> None:
+    """End this process, which gave up a Ray that was lost, as one that failed."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(1)
 
 
 def carry_out(task: bytes, item: bytes, driver: dict[str, str], board: Any, key: int) -> tuple[bytes, float]:

@@ -9,7 +9,8 @@ from itertools import pairwise
 from typing import TypeVar
 
 from triform.engines import Engine, EngineName, Report, Task, check_engine, open_engine
-from triform.limits import check_threads
+from triform.limits import check_threads, require_memory
+from triform.threads import limit_threads, usable_threads
 from triform.types import convert_fields
 
 Item = TypeVar("Item")
@@ -38,6 +39,20 @@ class Execution:
         convert_fields(self)
         check_threads(self.threads)
         check_engine(self.engine, self.ray_address)
+
+    def require_memory(self, needed: float) -> None:
+        """Refuse runs of which the threads of this machine hold more at once than fits its memory.
+
+        Args:
+            needed: About what one thread holds [bytes].
+
+        Raises:
+            ConfigurationError: It does not fit.
+        """
+        if self.engine == "local":
+            with limit_threads(self.threads):
+                threads = usable_threads()
+            require_memory(threads * needed, f"the runs of {threads} threads at once (option threads)")
 
     def open_engine(self) -> AbstractContextManager[Engine]:
         """Return the engine, for a ``with`` block.

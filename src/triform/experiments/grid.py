@@ -209,9 +209,13 @@ def measure_grid(
         listener: Hears of progress, of what is left out and of every cell that is done.
         engine: The engine, if it is open already.
         title: What a progress bar says.
+
+    Raises:
+        ConfigurationError: The threads together need more memory than there is.
     """
     for name, reason in grid.skipped.items():
         listener.say(f"left out: {name}: {reason}")
+    execution.require_memory(max((cell.memory for cell in grid.waiting), default=0.0))
     warn_of_time(sum(cell.work for cell in grid.waiting), execution.threads, listener)
     grid.warm_up()
     began = time.perf_counter()

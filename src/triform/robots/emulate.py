@@ -18,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 
+from triform.limits import LARGEST_INDEX, LARGEST_SEED, require_at_most
 from triform.robots.ldrobot import MODELS, LidarEmulator, LidarModel
 from triform.robots.recorder import POSE_COLUMNS, CsvLog
 from triform.robots.robomaster import RoboMasterEmulator
@@ -42,6 +43,8 @@ from triform.types import SENSING_RANGE, FloatArray, ScanConfig, convert_fields,
 STEP = 0.01
 #: True poses are recorded every so many steps.
 _STEPS_PER_RECORD = 10
+#: All turns that are late are in memory [s].
+_LATEST = 60
 #: More would need more than one processor.
 _MOST_ROBOTS = 50
 
@@ -85,6 +88,9 @@ class EmulateConfig:
         require(1 <= self.robots <= _MOST_ROBOTS, f"robots is {self.robots}; 1 to {_MOST_ROBOTS} can be emulated")
         require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
         require(self.index >= 0, f"index is {self.index}; it must not be negative")
+        require_at_most("seed", self.seed, LARGEST_SEED)
+        require_at_most("index", self.index, LARGEST_INDEX)
+        require_at_most("latency", self.latency, _LATEST, " s")
         farthest = self.model.range_max / SENSING_RANGE
         require(
             0 < self.distance <= farthest,

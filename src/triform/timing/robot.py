@@ -17,6 +17,7 @@ from typing import Any
 
 from triform.control import POLICY, ControllerSpec
 from triform.evaluation.scenario import Scenario
+from triform.limits import LARGEST_SEED, require_at_most
 from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_file, write_json
 from triform.threads import usable_threads
@@ -71,6 +72,8 @@ class BenchConfig:
         require(0 < self.rate < math.inf, f"rate is {self.rate} Hz; it must be positive and finite")
         require(0 < self.seconds < math.inf, f"seconds is {self.seconds}; it must be positive and finite")
         require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
+        for name, most in (("rate", 10_000), ("seconds", 86_400), ("seed", LARGEST_SEED)):
+            require_at_most(name, getattr(self, name), most)
         _ = self.scenario
 
     @property

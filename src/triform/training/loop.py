@@ -28,7 +28,7 @@ from triform.training.precision import matrix_products, reduced
 from triform.training.prefetch import Prefetched
 from triform.training.presets import TrainConfig
 from triform.training.processes import Processes, joined, local_device
-from triform.training.state import load_state, read_progress
+from triform.training.state import load_state
 from triform.types import TriformError, require
 
 CONFIG_FILE = "train.json"
@@ -179,8 +179,7 @@ def train(
         optimizer = make_optimizer(config, parameters)
         record: dict[str, Any] = {"step": 0, "maps": 0, "loss": math.nan, "best": math.inf}
         if resume and (out / STATE_FILE).exists():
-            load_state(out / STATE_FILE, learner, optimizer)
-            record = read_progress(out / STATE_FILE)
+            record = load_state(out / STATE_FILE, learner, optimizer)
         signals = held.enter_context(StopSignals(always=(), unless_ignored=(signal.SIGINT, signal.SIGTERM)))
         books = None
         if isinstance(source, SceneSource):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -28,32 +29,28 @@ def save_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer, 
     for index, values in optimizer.state_dict()["state"].items():
         for name, value in values.items():
             tensors[f"{_OPTIMIZER}{index}.{name}"] = torch.as_tensor(value).detach().cpu().contiguous()
-    write_atomically(path, safetensors.torch.save(tensors, {"progress": json.dumps(progress)}))
+    said = json.dumps(progress)
+    metadata = {"progress": said, "sha256": _checksum(said, tensors)}
+    write_atomically(path, safetensors.torch.save(tensors, metadata))
 
 
-def read_progress(path: Path) -> dict[str, Any]:
-    """Read the progress record of a training state.
+def load_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, Any]:
+    """Restore weights and optimiser from ``path`` and return the progress that was saved with them.
 
     Raises:
-        TriformError: If the file is missing or is no training state.
+        TriformError: If the file is damaged or does not fit this network and optimiser.
     """
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no mapping
+        # States that were saved by earlier versions have no checksum.
+        if set(metadata) != {"progress"} and metadata.get("sha256") != _checksum(metadata["progress"], tensors):
+            raise ValueError("its checksum differs")
         progress: dict[str, Any] = json.loads(metadata["progress"])
     except (OSError, SafetensorError, KeyError, ValueError) as error:
-        raise TriformError(f"{path} is not a readable training state: {error}") from error
-    return progress
-
-
-def load_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer) -> None:
-    """Restore weights and optimiser from ``path``.
-
-    Raises:
-        TriformError: If the file does not fit this network and optimiser.
-    """
+        raise TriformError(f"cannot resume from {path}: it is damaged or no training state: {error}") from error
     try:
-        tensors = safetensors.torch.load_file(path)
         module.load_state_dict(
             {name.removeprefix(_MODULE): tensor for name, tensor in tensors.items() if name.startswith(_MODULE)}
         )
@@ -63,7 +60,16 @@ def load_state(path: Path, module: nn.Module, optimizer: torch.optim.Optimizer) 
                 index, key = name.removeprefix(_OPTIMIZER).split(".", 1)
                 states.setdefault(int(index), {})[key] = tensor
         optimizer.load_state_dict({"state": states, "param_groups": optimizer.state_dict()["param_groups"]})
-    except (OSError, SafetensorError) as error:
-        raise TriformError(f"cannot resume from {path}: it is damaged or no training state: {error}") from error
     except (RuntimeError, ValueError, KeyError) as error:
         raise TriformError(f"cannot resume from {path}: it does not fit this network") from error
+    return progress
+
+
+def _checksum(progress: str, tensors: dict[str, Tensor]) -> str:
+    """Checksum of all that a state says."""
+    digest = hashlib.sha256(progress.encode())
+    for name in sorted(tensors):
+        tensor = tensors[name]
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()

@@ -20,7 +20,17 @@ from triform.simulation.kinematics import limit_twists
 from triform.simulation.profiles import Profile
 from triform.simulation.sensors import SensorSuite
 from triform.threads import usable_threads
-from triform.types import BoolArray, FloatArray, MapArray, PrivilegedView, RangeArray, TriformError, require
+from triform.types import (
+    BoolArray,
+    FloatArray,
+    MapArray,
+    PrivilegedView,
+    RangeArray,
+    TriformError,
+    as_array,
+    converted,
+    require,
+)
 
 #: Robots that do not exist stand this far away [m], and as far apart as a robot needs.
 _FAR, _APART = 1e6, 10.0
@@ -73,7 +83,9 @@ class MujocoTeam:
             ConfigurationError: If the shape does not fit, a pose is not finite, wheels do not fit under the footprint,
                 or seeds are missing.
         """
-        placed = np.array(poses, dtype=np.float64)
+        converted("profile", profile, Profile)
+        converted("arena", arena, Arena | None)
+        placed = as_array("poses", poses)
         require(
             placed.ndim == 3 and placed.shape[2] == 3 and placed.size > 0 and bool(np.isfinite(placed).all()),
             f"poses of shape {placed.shape} given; finite ones of shape (worlds, robots, 3) are needed",
@@ -128,6 +140,7 @@ class MujocoTeam:
             TriformError: If the shape does not fit, a command is not finite, or the duration is not positive.
         """
         targets = limit_twists(self._checked(commands), self.profile.drive)
+        duration = converted("duration", duration, float)
         end = self.time + duration
         for stop, turn_ends in self._senses.stretches(self.time, duration):
             self._advance(targets, stop, turn_ends)
@@ -144,7 +157,7 @@ class MujocoTeam:
             TriformError: If there is no such world or the pose is not three finite numbers.
         """
         self._check_world(world)
-        placed = np.array(pose, dtype=np.float64)
+        placed = as_array("numbers of a pose", pose)
         if placed.shape != (3,) or not np.isfinite(placed).all():
             raise TriformError(f"a robot cannot be placed at {placed}; a pose is three finite numbers")
         if self._active[world].all():
@@ -163,7 +176,7 @@ class MujocoTeam:
             TriformError: If there is no such world or robot.
         """
         self._check_world(world)
-        if not 0 <= robot < self._active.shape[1] or not self._active[world, robot]:
+        if not 0 <= converted("robot", robot, int) < self._active.shape[1] or not self._active[world, robot]:
             present = np.flatnonzero(self._active[world]).tolist()
             raise TriformError(f"world {world} has no robot {robot}; its robots are {present}")
         self._active[world, robot] = False
@@ -256,7 +269,7 @@ class MujocoTeam:
         self.min_distance = np.fmin(self.min_distance, np.fmin.reduce(apart, axis=(1, 2)))
 
     def _checked(self, commands: FloatArray) -> FloatArray:
-        values = np.array(commands, dtype=np.float64)
+        values = np.array(as_array("commands", commands))
         shape = (*self._active.shape, 3)
         if values.shape != shape:
             raise TriformError(f"commands of shape {values.shape} given; {shape} is needed")
@@ -267,5 +280,5 @@ class MujocoTeam:
         return values
 
     def _check_world(self, world: int) -> None:
-        if not 0 <= world < len(self._active):
+        if not 0 <= converted("world", world, int) < len(self._active):
             raise TriformError(f"there is no world {world}; worlds are 0 to {len(self._active) - 1}")
