@@ -52,8 +52,10 @@ def draw_robot(rng: np.random.Generator) -> Profile:
         max_wheel_speed=rng.choice([np.inf, rng.uniform(0.2, 0.6)]),
         reverse=bool(rng.random() < 0.8),
     )
-    sizes = rng.uniform(0.2, 0.4, 2)
-    footprint = Footprint.circle(sizes[0]) if rng.random() < 0.7 else Footprint.box(*sizes)
+    # Starts are 0.5 m apart, so that circles around these boxes are, too.
+    footprint = (
+        Footprint.circle(rng.uniform(0.2, 0.4)) if rng.random() < 0.7 else Footprint.box(*rng.uniform(0.2, 0.3, 2))
+    )
     lidar = LidarConfig(
         scan=ScanConfig(rays=int(rng.integers(200, 700)), range_min=0.05),
         noise=constant_noise(rng.uniform(0.0, 0.01)),
