@@ -363,7 +363,7 @@ class View:
         require(values.shape == needed, f"a view has {name} of shape {values.shape}; {needed} is needed")
         require(
             is_plausible(values[self.active]),
-            f"a view has {name} that is not finite or exceeds {LARGEST:g}; no command can rest on it",
+            f"{name} of active robots must be finite and at most {LARGEST:g}; no command can rest on anything else",
         )
         object.__setattr__(self, name, values)
 

@@ -70,6 +70,6 @@ def test_odometry_and_noise_that_are_no_numbers_are_refused_in_a_sentence(field:
     values = np.zeros((1, 2, 2 if field == "noise" else 3))
     values[0, 1, 1] = value
     poses = np.zeros((1, 2, 3))
-    with pytest.raises(TriformError, match=f"a view has {field} that is not finite"):
+    with pytest.raises(TriformError, match=f"{field} of active robots must be finite"):
         PrivilegedView(scans, np.ones((1, 2), bool), 0.0, poses, **{field: values})
     PrivilegedView(scans, np.array([[True, False]]), 0.0, poses, **{field: values})

@@ -96,7 +96,7 @@ def test_it_is_made_by_name_and_needs_poses(folder: Path) -> None:
     assert commands.any()
     with pytest.raises(TriformError, match="needs true poses"):
         controller.command(View(view.scans, view.active, 0.0))
-    with pytest.raises(TriformError, match="finite poses"):
+    with pytest.raises(TriformError, match="poses of active robots must be finite"):
         controller.command(replace(view, poses=np.full_like(view.poses, np.nan)))
     with pytest.raises(ConfigurationError, match="reads no occupancy maps"):
         make_controller(f"policy:{folder}")

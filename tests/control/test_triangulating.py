@@ -376,7 +376,7 @@ def test_what_cannot_be_used_is_refused() -> None:
     for axis, value in ((0, np.nan), (1, np.inf), (2, np.nan)):
         bad = poses.copy()
         bad[0, 1, axis] = value
-        with pytest.raises(TriformError, match="finite poses"):
+        with pytest.raises(TriformError, match="poses of active robots must be finite"):
             Triangulating().command(view(bad))
         assert not Triangulating().command(view(bad, np.array([[True, False]]))).any()
 

@@ -214,7 +214,7 @@ class Worker:
         process.stdin.write(json.dumps(words) + "\n")
         process.stdin.flush()
         answer, interrupted = self._wait(self._limit), False
-        # The first Ctrl-C ends a training between two of its steps, which may wait for kernels; the second acts at once.
+        # The first Ctrl-C ends a training between two steps, which may wait for kernels; the second acts at once.
         for _ in range(2 if words[0] in LONG else 1):
             if not answer and process.poll() is None:
                 interrupted = True

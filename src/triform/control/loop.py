@@ -10,14 +10,12 @@ from typing import TypeVar
 import numpy as np
 
 from triform.types import (
-    LARGEST,
     Controller,
     FloatArray,
     PrivilegedView,
     Team,
     TriformError,
     View,
-    is_plausible,
     require,
 )
 
@@ -66,12 +64,10 @@ def true_poses(view: View, who: str) -> FloatArray:
         who: The controller, for the sentence that refuses.
 
     Raises:
-        TriformError: The view carries no poses, or poses that are not finite or exceed ``LARGEST``.
+        TriformError: The view carries no poses.
     """
     if not isinstance(view, PrivilegedView):
         raise TriformError(f"{who} needs true poses, and this team cannot offer them")
-    if not is_plausible(view.poses[view.active]):
-        raise TriformError(f"{who} needs finite poses of all active robots, at most {LARGEST:g} m away")
     return np.ascontiguousarray(view.poses, dtype=np.float64)
 
 
