@@ -2,7 +2,7 @@
 # make test    every check that CI runs; those that need Gazebo are skipped where there is none
 # make test-quick PYTHON=python3.12    the tests of the lower rooms, on another Python; needs no PyTorch
 # make gazebo  a Gazebo 11 of our own, or the plugin for one that is installed
-# make fuzz    campaigns against LiDAR bytes, command line, policies, data sets, recordings, a robot's answers, and kills
+# make fuzz    every campaign of docs/reliability.md, each for two minutes
 # make bench   speed, beside peers and the machine's limits, into benchmarks/results
 # All set up their own virtual environments; the second time that takes no time.
 
@@ -46,12 +46,14 @@ gazebo: $(VENV)/installed-evaluate
 
 # Seconds of each campaign of `make fuzz`; docs/reliability.md has what they found.
 FUZZ_SECONDS ?= 120
+CAMPAIGNS := wheels robot_answers sight arcs kills policies data_sets writers recordings command_line kept_kernels \
+	ray_losses mujoco_worlds
 
-fuzz: .venv/installed-dev
+fuzz: $(VENV)/installed-dev
 	mkdir -p build/fuzz
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m tests.fuzz.fuzz_lidar build/fuzz \
 		-artifact_prefix=build/ -max_len=2048 -len_control=0 -max_total_time=$(FUZZ_SECONDS)
-	failed=; for campaign in command_line policies data_sets recordings robot_answers kills; do \
+	failed=; for campaign in $(CAMPAIGNS); do \
 		$(BIN)/python -m tests.fuzz.$$campaign --seconds $(FUZZ_SECONDS) || failed="$$failed $$campaign"; \
 	done; test -z "$$failed" || { echo "failed:$$failed" >&2; exit 1; }
 
