@@ -31,7 +31,7 @@ from triform.types import FloatArray, PrivilegedView, Scan, ScanConfig, View
 
 DRIVE = Drive(
     max_speed=0.3, max_turn_rate=1.9, max_acceleration=0.9, max_turn_acceleration=7.7, lag=0.1,
-    base="differential", track=0.233,
+    kind="differential", track=0.233,
 )  # fmt: skip
 ROLLING = LidarConfig(scan=ScanConfig(rays=360), rolling=True, period=0.13, noise=constant_noise(0.01), dropout=0.05)
 ROBOT = Profile("rolling", Footprint.circle(0.342), ROLLING, DRIVE, control_period=0.1, latency=0.1)

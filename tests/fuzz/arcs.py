@@ -47,7 +47,7 @@ def draw_robot(rng: np.random.Generator) -> Profile:
         max_acceleration=rng.choice([np.inf, rng.uniform(0.5, 2.0)]),
         max_turn_acceleration=rng.choice([np.inf, rng.uniform(4.0, 15.0)]),
         lag=rng.choice([0.0, rng.uniform(0.0, 0.2)]),
-        base="differential",
+        kind="differential",
         track=rng.uniform(0.1, 0.3),
         max_wheel_speed=rng.choice([np.inf, rng.uniform(0.2, 0.6)]),
         reverse=bool(rng.random() < 0.8),

@@ -17,7 +17,7 @@ from triform.simulation.odometry import resting_poses
 from triform.types import NOISE_PERIOD, ConfigurationError, FloatArray
 
 TRACK = 0.2
-ROLLING = Drive(max_speed=0.3, max_turn_rate=2.0, base="differential", track=TRACK)
+ROLLING = Drive(max_speed=0.3, max_turn_rate=2.0, kind="differential", track=TRACK)
 seeds = st.integers(0, 2**32 - 1)
 velocity = st.floats(-1, 1)
 drives = st.builds(
@@ -27,7 +27,7 @@ drives = st.builds(
     max_wheel_speed=st.floats(0.05, 1),
     track=st.floats(0, 0.5),
     reverse=st.booleans(),
-    base=st.just("differential"),
+    kind=st.just("differential"),
 )
 
 
@@ -179,7 +179,7 @@ def test_noise_lasts_as_long_as_a_turn_needs() -> None:
         ({"max_turn_rate": math.inf}, "max_turn_rate is inf"),
         ({"track": -0.1}, "track is -0.1 m"),
         ({"max_wheel_speed": 0.0}, "max_wheel_speed is 0.0"),
-        ({"base": "tracked"}, "base is 'tracked'"),
+        ({"kind": "tracked"}, "kind is 'tracked'"),
     ],
 )
 def test_impossible_bases_are_refused(bad: dict[str, object], message: str) -> None:

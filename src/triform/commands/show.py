@@ -69,7 +69,7 @@ class Show:
                     robot.footprint.label,
                     str(robot.lidar.scan.rays),
                     f"{1 / robot.lidar.period:.3g}",
-                    robot.drive.base,
+                    robot.drive.kind,
                     f"{min(robot.drive.max_speed, robot.drive.max_axis_speed):g}",
                     f"{robot.latency:g}",
                     ", ".join(beyond_training(robot)) or "as trained",

@@ -124,7 +124,7 @@ def profile_toml(profile: Profile) -> str:
         "  # where only the robot itself is, [from, to] counter-clockwise from the front [deg]",
         "",
         "[drive]  # inf is no limit",
-        f'base = "{drive.base}"  # holonomic, or differential: two driven wheels, whose axle is in the middle',
+        f'kind = "{drive.kind}"  # of base: holonomic, or differential: two driven wheels, whose axle is in the middle',
         f"max_speed = {float(drive.max_speed)!r}  # [m/s]",
         f"max_axis_speed = {float(drive.max_axis_speed)!r}  # along x and along y [m/s]",
         f"max_turn_rate = {float(drive.max_turn_rate)!r}  # [rad/s]",

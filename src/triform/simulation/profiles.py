@@ -21,7 +21,7 @@ from triform.types import (
 )
 
 #: Kinds of bases.
-BASES = ("holonomic", "differential")
+KINDS = ("holonomic", "differential")
 
 
 def _is_positive(value: float) -> bool:
@@ -221,7 +221,7 @@ class Drive:
         max_acceleration: Largest norm of the translational acceleration [m/s^2].
         max_turn_acceleration: Largest angular acceleration [rad/s^2].
         lag: Time constant of the first-order actuator lag [s]; 0 means none.
-        base: ``"holonomic"``, or ``"differential"``: two driven wheels on an axle through the centre, which turn the
+        kind: ``"holonomic"``, or ``"differential"``: two driven wheels on an axle through the centre, which turn the
             robot to where it is to go. ``max_speed`` is then the speed along its axis.
         track: Distance between the wheels of a differential base [m].
         max_wheel_speed: Largest speed of one of these wheels [m/s].
@@ -234,7 +234,7 @@ class Drive:
     max_acceleration: float = math.inf
     max_turn_acceleration: float = math.inf
     lag: float = 0.0
-    base: Literal["holonomic", "differential"] = "holonomic"
+    kind: Literal["holonomic", "differential"] = "holonomic"
     track: float = 0.0
     max_wheel_speed: float = math.inf
     reverse: bool = True
@@ -248,7 +248,7 @@ class Drive:
             value = getattr(self, name)
             require(value > 0, f"{name} is {value}; it must be positive (inf for no limit)")
         require(0 <= self.lag < math.inf, f"lag is {self.lag} s; it must be finite and not negative")
-        require(self.base in BASES, f"base is {self.base!r}; allowed are {', '.join(BASES)}")
+        require(self.kind in KINDS, f"kind is {self.kind!r}; allowed are {', '.join(KINDS)}")
         require(0 <= self.track < math.inf, f"track is {self.track} m; it must be finite and not negative")
         require(
             not self.is_differential or self.max_turn_rate < math.inf,
@@ -258,7 +258,7 @@ class Drive:
     @property
     def is_differential(self) -> bool:
         """Whether the base has two driven wheels."""
-        return self.base == "differential"
+        return self.kind == "differential"
 
     @property
     def braking_lag(self) -> float:
