@@ -3,7 +3,8 @@
 Accuracies of data sheets are read as two standard deviations, as those of the hardware profile are. What no source says
 is called an assumption. A circle is the smallest one around the middle of the axle that holds the robot, because it
 turns about that. The LiDARs of TurtleBots sit on top of them: robots see each other as these circles only if each wears
-a collar of that diameter at the height of the LiDAR.
+a collar of that diameter at the height of the LiDAR. From secondary sources, to be compared with the manual of a robot
+before it drives: the turn rate and the LiDAR's rate of the TurtleBot 4, the track of its base, the ROSbot XL's outline.
 """
 
 from __future__ import annotations
