@@ -22,12 +22,8 @@ SMALL = CollectionConfig(
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file of a data set except the lock."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != ".lock"
-    }
+    """Every file of a data set."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 @pytest.fixture(scope="session")

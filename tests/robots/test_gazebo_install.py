@@ -47,7 +47,7 @@ def test_without_gazebo_and_without_packages(tools: Path, capfd: pytest.CaptureF
         "triform: Gazebo could not be made ready: "
         "there is no Gazebo 11 with headers here, and no apt-get to fetch a private one\n"
     )
-    assert left(tools) == [".lock"]
+    assert left(tools) == []
     assert find_gazebo() is None
 
 
@@ -63,7 +63,7 @@ def test_a_compiler_that_fails_gives_its_reason(tools: Path) -> None:
     add(tools, "g++", "echo 'lockstep.cc:6: error: no such header' >&2; echo 'compilation terminated.' >&2; exit 1")
     with pytest.raises(GazeboError, match=r"building the plugin for the Gazebo 11\.10\.2 .*error: no such header$"):
         install()
-    assert left(tools) == [".lock"]
+    assert left(tools) == []
 
 
 def test_a_gazebo_that_does_not_run_is_not_kept(tools: Path, gazebo: Installation) -> None:
@@ -71,7 +71,7 @@ def test_a_gazebo_that_does_not_run_is_not_kept(tools: Path, gazebo: Installatio
     add(tools, "g++", 'while [ "$1" != -o ]; do shift; done; : >"$2"')
     with pytest.raises(GazeboError, match="Gazebo ended with status 1"):
         install()
-    assert left(tools) == [".lock"]
+    assert left(tools) == []
 
 
 def test_only_what_was_made_here_is_replaced(tools: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,7 +83,7 @@ def test_only_what_was_made_here_is_replaced(tools: Path, monkeypatch: pytest.Mo
     add(tools, "g++", 'while [ "$1" != -o ]; do shift; done; : >"$2"')
     monkeypatch.setattr("triform.robots.gazebo.install._check", lambda built: None)
     assert install().plugin == folder / version() / "liblockstep.so"
-    assert left(tools) == sorted([".lock", "0123", "building", "thesis", version()])
+    assert left(tools) == sorted(["0123", "building", "thesis", version()])
 
 
 def test_what_is_ready_is_left_alone_and_an_unwritable_folder_is_one_sentence(
