@@ -220,6 +220,7 @@ def test_an_evaluation_takes_text_for_paths_and_numpys_numbers() -> None:
 #: Values that attributes without a default have, where they matter.
 REQUIRED: dict[str, dict[str, Any]] = {
     "Collect": {"out": "data"},
+    "Train": {"out": "runs"},
     "Event": {"kind": "join"},
     "Footprint": {"shape": "box", "length": 0.4, "width": 0.2},
     "MeasureConfig": {"files": ("run.csv",)},
