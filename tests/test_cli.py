@@ -331,3 +331,23 @@ def test_a_folder_has_one_writer(command: str, capsys: pytest.CaptureFixture[str
         assert main([command, "--output", str(tmp_path)]) == 1
     assert "another process" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("endless.toml", ["evaluate", "--profile", "endless.toml"]),
+        ("endless.npy", ["evaluate", "--starts", "endless.npy"]),
+        ("endless.csv", ["measure", "endless.csv"]),
+        ("endless.py", ["evaluate", "--controller", "endless.py:Mine"]),
+    ],
+)
+def test_a_file_that_never_ends_is_refused(name, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).symlink_to("/dev/zero")
+    try:
+        status = main(words)
+    except SystemExit as end:  # of the command line's own parser
+        status = end.code
+    assert status in (1, 2)
+    assert "it is a device, and a file is needed" in " ".join(capsys.readouterr().err.replace("│", " ").split())

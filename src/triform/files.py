@@ -105,6 +105,16 @@ def cannot_write(path: Path, error: OSError) -> TriformError:
     return TriformError(f"cannot write {path}: {error.strerror or error}")
 
 
+def refuse_device(path: Path) -> None:
+    """Refuse to read from a device, because some of them, such as ``/dev/zero``, never end.
+
+    Raises:
+        OSError: It is one, or cannot be looked at.
+    """
+    if path.is_char_device() or path.is_block_device():
+        raise OSError(errno.ENOTSUP, "it is a device, and a file is needed", str(path))
+
+
 def sha256(data: bytes) -> str:
     """SHA-256 of ``data`` in hexadecimal."""
     return hashlib.sha256(data).hexdigest()

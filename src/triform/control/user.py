@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from triform.files import refuse_device
 from triform.types import ConfigurationError, FloatArray, PrivilegedView, TriformError, View, nearest
 
 #: Group of entry points of packages that bring controllers.
@@ -99,6 +100,7 @@ def load_class(where: str, name: str) -> type[Any]:
 
 def _read_file(path: Path) -> _UserFile:
     try:
+        refuse_device(path)
         return _UserFile(str(path.resolve()), path.read_bytes())
     except OSError as error:
         raise ConfigurationError(

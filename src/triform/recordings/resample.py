@@ -10,6 +10,7 @@ import numpy as np
 
 from triform.evaluation.metrics import WINDOW
 from triform.evaluation.rollout import Trajectory
+from triform.files import refuse_device
 from triform.geometry import wrap_angle
 from triform.recordings.formats import RawRun, Track, natural, read_array, read_csv, read_parquet
 from triform.recordings.motive import SIGNATURE, read_motive
@@ -60,6 +61,7 @@ def read_recordings(
         TriformError: The file cannot be read, or a run cannot be measured; one sentence says why and where.
     """
     try:
+        refuse_device(path)
         raw = _read(path, rate)
     except (OSError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or str(error)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from triform.files import refuse_device
 from triform.simulation.spawn_kernels import first_valid, insert_in_turn, is_connected, linked_groups
 from triform.types import SENSING_RANGE, BoolArray, FloatArray, TriformError, as_array, converted, require
 
@@ -217,6 +218,7 @@ def load_starts(path: Path) -> list[FloatArray]:
     if path.suffix not in (".npy", ".csv"):
         raise TriformError(f"{path} ends in {path.suffix!r}; starts are read from .npy or .csv")
     try:
+        refuse_device(path)
         table = _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
     except (OSError, UnicodeDecodeError) as error:
         raise TriformError(f"{path} cannot be read: {error}") from None

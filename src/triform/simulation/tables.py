@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from triform.files import refuse_device
 from triform.types import ConfigurationError, nearest
 
 
@@ -35,6 +36,7 @@ class TomlTable:
             ConfigurationError: It cannot be read, or is no TOML.
         """
         try:
+            refuse_device(path)
             return cls(path, tomllib.loads(path.read_text(encoding="utf-8")))
         except OSError as error:
             raise ConfigurationError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}") from None
