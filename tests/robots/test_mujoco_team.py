@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from shapely.geometry import Point, box
 
 from tests.fuzz import mujoco_worlds
 from tests.options import options
@@ -19,6 +20,7 @@ from triform.evaluation.scenario import Scenario
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.robots.chassis import BASES, MAX_ACCELERATION, MAX_TURN_ACCELERATION, braked
 from triform.robots.mujoco import MujocoError, MujocoTeam
+from triform.robots.mujoco.model import write_model
 from triform.simulation import (
     HARDWARE,
     IDEAL,
@@ -68,7 +70,35 @@ def test_scans_are_those_of_the_built_in_lidar(seed):
     assert mujoco_worlds.scans(np.random.default_rng(seed)) == ""
 
 
-@pytest.mark.parametrize("seed", range(4))
+@given(
+    radius=st.floats(0.02, 0.5),
+    bearing=st.floats(-np.pi, np.pi),
+    heading=st.floats(-np.pi, np.pi),
+    overlap=st.floats(0.001, 0.02),
+)
+def test_contacts_with_a_pillar_are_as_deep_as_the_outlines_overlap(radius, bearing, heading, overlap):
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(
+        write_model(IDEAL.footprint, Arena("pillar", np.empty((0, 4)), np.array([[0.0, 0.0, radius]])), 1, "planar")
+    )
+    data = mujoco.MjData(model)
+    half_length, half_width = IDEAL.footprint.half_length, IDEAL.footprint.half_width
+    towards = np.array([np.cos(bearing - heading), np.sin(bearing - heading)])
+    outline = box(-half_length, -half_width, half_length, half_width)
+    # The pillar's centre at a distance from the outline, in the robot's frame, by bisection.
+    near, far = 0.0, 2.0
+    for _ in range(60):
+        middle = (near + far) / 2
+        near, far = (near, middle) if outline.distance(Point(middle * towards)) > radius - overlap else (middle, far)
+    away = np.array([np.cos(bearing), np.sin(bearing)])
+    data.qpos[:3] = [*(-far * away), heading]
+    mujoco.mj_forward(model, data)
+    assume(overlap < 0.9 * radius)
+    assert max(-contact.dist for contact in data.contact) == pytest.approx(overlap, abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", [*range(4), 262143])
 def test_robots_that_push_each_other_are_solid_and_the_same_to_the_bit(seed):
     assert mujoco_worlds.runs(np.random.default_rng(seed)) == ""
 
