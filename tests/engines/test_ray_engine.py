@@ -356,8 +356,8 @@ def test_ctrl_c_ends_a_ray_of_our_own_in_one_sentence(tmp_path):
 def test_a_ray_that_is_lost_is_said_in_one_sentence(tmp_path, monkeypatch):
     # On a busy machine it takes longer, but not a minute as Ray itself would.
     monkeypatch.setattr(ray_losses, "LIMIT", 30.0)
-    monkeypatch.setattr(ray_losses, "COLLECT", ["collect", "--runs", "30", "--placements", "0"])
-    assert ray_losses.lose("gcs_server", "work", tmp_path) == ""
+    monkeypatch.setattr(ray_losses, "COLLECT", ["collect", "--runs", "120", "--placements", "0"])
+    assert ray_losses.lose("gcs_server", "work", signal.SIGKILL, tmp_path) == ""
 
 
 def _alive(pid: int) -> bool:

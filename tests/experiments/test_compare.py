@@ -108,14 +108,14 @@ def test_a_comparison_goes_on_with_more_controllers(folder, tmp_path):
 
 def test_learned_controllers_have_their_weights():
     config = options(CompareConfig, controllers=("policy", "policy:large", "gnn", "expert"))
-    labels = [contestant.label for contestant in config.contestants]
+    labels = [contestant.label for contestant in config.compared]
     assert labels == ["policy:default", "policy:large", "gnn:gnn", "expert"]
     assert {cell.controller.weights for cell in config.cells if cell.labels["label"] == "policy:large"} == {"large"}
 
 
 def test_all_controllers_are_compared_unless_some_are_named():
     config = CompareConfig()
-    assert {contestant.name for contestant in config.contestants} == set(CONTROLLERS)
+    assert {contestant.name for contestant in config.compared} == set(CONTROLLERS)
     cells = [cell for cell in config.cells if cell.labels["label"] == "expert"]
     assert [(cell.scenario.profile, cell.robots, cell.runs, cell.scenario.duration) for cell in cells] == [
         ("ideal", 5, 100, 40.0), ("ideal", 7, 100, 40.0), ("ideal", 9, 100, 40.0), ("ideal", 11, 100, 40.0),

@@ -22,11 +22,16 @@ from tests.fuzz.trials import options
 
 #: Longest time from the kill to the end of the command [s].
 LIMIT = 10.0
-COLLECT = ["collect", "--preset", "quick", "--runs", "200", "--placements", "200"]
+COLLECT = ["collect", "--preset", "quick", "--runs", "600", "--placements", "200"]
 
 
-#: Which process is lost, and when: a worker has work from the beginning.
-LOSSES = (*product(("gcs_server", "raylet"), ("start", "work")), ("ray::triform_item", "work"))
+#: Which process is lost, when, and by which signal: a worker has work from the beginning.
+LOSSES = (
+    *product(("gcs_server", "raylet"), ("start", "work"), (signal.SIGKILL,)),
+    ("gcs_server", "work", signal.SIGTERM),
+    ("raylet", "work", signal.SIGTERM),
+    ("ray::triform_item", "work", signal.SIGKILL),
+)
 
 
 def descendants(pid: int) -> Iterator[tuple[int, str]]:
@@ -49,8 +54,8 @@ def descendants(pid: int) -> Iterator[tuple[int, str]]:
                 yield child, name.rsplit("/", 1)[-1]
 
 
-def lose(process: str, when: str, folder: Path) -> str:
-    """Kill ``process`` of a command's Ray; returns what went wrong then."""
+def lose(process: str, when: str, by: signal.Signals, folder: Path) -> str:
+    """Send a signal to ``process`` of a command's Ray; returns what went wrong then."""
     out = folder / "data"
     command = [sys.executable, "-m", "triform", *COLLECT, "--out", str(out)]
     child = subprocess.Popen([*command, "--engine", "ray", "--workers", "2"], stderr=subprocess.PIPE, text=True)
@@ -60,11 +65,14 @@ def lose(process: str, when: str, folder: Path) -> str:
     while not found and child.poll() is None:
         found = [pid for pid, name in descendants(child.pid) if name.startswith(process)]
     for pid in found[:1]:
-        os.kill(pid, signal.SIGKILL)
+        os.kill(pid, by)
     began = time.monotonic()
     _, errors = child.communicate()
     seconds = time.monotonic() - began
-    print(f"{process} lost during {when}: exit {child.returncode} after {seconds:.1f} s: {errors.strip()}", flush=True)
+    print(
+        f"{process} lost during {when} by {by.name}: exit {child.returncode} after {seconds:.1f} s: {errors.strip()}",
+        flush=True,
+    )
     kept = {path.name: path.read_bytes() for path in out.glob("shards/shard-*.parquet")}
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0 or any((out / "shards" / name).read_bytes() != data for name, data in kept.items()):
@@ -82,12 +90,12 @@ def run(seconds: float) -> int:
     """Lose each process at each time, again and again until the time is over; returns the failures."""
     began, tried, failed = time.monotonic(), 0, 0
     while tried == 0 or time.monotonic() - began < seconds:
-        for process, when in LOSSES:
+        for process, when, by in LOSSES:
             with tempfile.TemporaryDirectory() as folder:
-                wrong = lose(process, when, Path(folder))
+                wrong = lose(process, when, by, Path(folder))
             tried, failed = tried + 1, failed + (wrong != "")
             if wrong:
-                print(f"{process} lost during {when}: {wrong}", flush=True)
+                print(f"{process} lost during {when} by {by.name}: {wrong}", flush=True)
     print(f"ray losses: {tried} tried, {failed} failed")
     return failed
 

@@ -43,8 +43,8 @@ TINY = TrainConfig(
 
 
 def small_visits(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(dagger, "teacher_states", partial(teacher_states, visits=TEACHER))
-    patch.setattr(dagger, "learner_states", partial(learner_states, visits=LEARNER))
+    patch.setattr(dagger, "teacher_states", partial(teacher_states, rollouts=TEACHER))
+    patch.setattr(dagger, "learner_states", partial(learner_states, rollouts=LEARNER))
     patch.setattr(batches, "VALIDATION_MAPS", 100)
 
 

@@ -6,12 +6,12 @@ No file system is shared: tasks, items and results travel as bytes.
 from __future__ import annotations
 
 import atexit
+import ctypes
 import functools
 import ipaddress
 import math
 import os
 import socket
-import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from functools import partial
@@ -98,10 +98,12 @@ class RayEngine:
 
     def close(self) -> None:
         """Let go of the cluster, or stop the Ray that was started here."""
-        if not self._ask.give_up(ray.shutdown, _FAREWELL):
+        self._ask.farewell()
+        # Without its servers a shutdown may end this process before it has said why.
+        if self._ask.lost or not self._ask.give_up(ray.shutdown, _FAREWELL):
             # At the end of the process it would be waited for again, and its threads would crash it.
             atexit.unregister(ray.shutdown)
-            atexit.register(_leave)
+            _leave_out_destructors()
 
     def run(
         self, task: Task[Item, Result], items: Sequence[Item], on_progress: Report | None = None
@@ -163,11 +165,11 @@ class RayEngine:
         return self._at_once or 2 * self._workers
 
 
-def _leave() -> None:
-    """End this process, which gave up a Ray that was lost, as one that failed."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(1)
+def _leave_out_destructors() -> None:
+    """Let this process end with its own status, but without destructors, where the system can (glibc's ``on_exit``)."""
+    system = ctypes.CDLL(None)
+    if hasattr(system, "on_exit"):
+        system.on_exit(ctypes.cast(system._exit, ctypes.c_void_p), None)
 
 
 def carry_out(task: bytes, item: bytes, driver: dict[str, str], board: Any, key: int) -> tuple[bytes, float]:

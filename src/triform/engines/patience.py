@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, wait
+from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
+from triform.engines import last_word
 from triform.types import TriformError
 
 Answer = TypeVar("Answer")
 
-#: Time between two looks at the servers while a call takes its time [s], and how long one may take to answer [s].
-_PERIOD, _PATIENCE = 0.2, 2.0
+#: Time between two looks at the servers while a call takes its time [s].
+_PERIOD = 0.2
 #: Looks in a row that find no server before it counts as lost: a machine may be busy for a moment.
 _LOOKS = 4
 #: Ray's servers by the names of their processes.
@@ -31,6 +34,7 @@ class Patience:
         self._servers: dict[str, tuple[str, int]] = {}
         self._children: dict[int, str] = {}
         self._missed = 0
+        self._speaker: subprocess.Popen[bytes] | None = None
         self.lost = ""
         # A thread that does not come back must not hold up the end of the process.
         threading.Thread(target=self._work, name="triform-ray", daemon=True).start()
@@ -67,8 +71,23 @@ class Patience:
         return not wait([done], seconds).not_done
 
     def watch(self, servers: dict[str, tuple[str, int]]) -> None:
-        """Look from now on whether these servers, host and port by name, can be reached."""
+        """Look from now on whether these servers, host and port by name, can be reached.
+
+        Ray may end this process before it has looked; then a small process of its own says why.
+        """
         self._servers = servers
+        words = [str(word) for name, place in servers.items() for word in (name, *place)]
+        # A session of its own, because a Ctrl-C of the terminal is not for it.
+        self._speaker = subprocess.Popen(
+            [sys.executable, "-I", last_word.__file__, *words], stdin=subprocess.PIPE, start_new_session=True
+        )
+
+    def farewell(self) -> None:
+        """Say that this process needs Ray no more, and says itself what went wrong, if anything did."""
+        speaker, self._speaker = self._speaker, None
+        if speaker is not None:
+            with suppress(OSError):
+                speaker.communicate(b"\0")
 
     def _look(self) -> None:
         """Look whether Ray is still there.
@@ -76,23 +95,11 @@ class Patience:
         Raises:
             TriformError: If it is not.
         """
-        gone = self._unreachable() if self._servers else self._dead_child()
+        gone = last_word.unreachable(self._servers) if self._servers else self._dead_child()
         self._missed = self._missed + 1 if gone else 0
         if self._missed >= _LOOKS or self.lost:
             self.lost = self.lost or gone
-            raise TriformError(
-                f"Ray was lost: its {self.lost} does not answer any more; what was finished before is safe, so run the "
-                "same command again to continue, on a Ray that works"
-            )
-
-    def _unreachable(self) -> str:
-        """The first server that cannot be reached; empty if all can."""
-        for name, place in self._servers.items():
-            try:
-                socket.create_connection(place, _PATIENCE).close()
-            except OSError:
-                return name
-        return ""
+            raise TriformError(last_word.LOST.format(self.lost))
 
     def _dead_child(self) -> str:
         """A server that this process has started and that has ended, if the system tells."""

@@ -69,7 +69,7 @@ class CompareConfig:
     def __post_init__(self) -> None:
         convert_fields(self)
         require(len(self.controllers) > 0, "controllers is empty; at least one controller is needed")
-        labels = [controller.label for controller in self.contestants]
+        labels = [controller.label for controller in self.compared]
         for label in labels:
             require(labels.count(label) == 1, f"controllers names {label} {labels.count(label)} times; once is enough")
         check_teams((*self.robots, *self.hardware_robots), self.runs, self.seed)
@@ -77,7 +77,7 @@ class CompareConfig:
         require_at_most("large_runs", self.large_runs, MOST_RUNS)
 
     @property
-    def contestants(self) -> list[ControllerSpec]:
+    def compared(self) -> list[ControllerSpec]:
         """The controllers to compare; one that has weights gets its default ones if none are named."""
         return [controller.resolved for controller in self.controllers]
 
@@ -90,7 +90,7 @@ class CompareConfig:
     @property
     def cells(self) -> list[Cell]:
         """What is run, controller by controller."""
-        return [self._cell(controller, *column) for controller in self.contestants for column in self.columns]
+        return [self._cell(controller, *column) for controller in self.compared for column in self.columns]
 
     @property
     def command(self) -> str:
@@ -160,7 +160,7 @@ def find_costs(config: CompareConfig, grid: Grid) -> dict[str, Cost]:
         TriformError: The weights of a policy cannot be read.
     """
     first = {cell.labels["label"]: cell for cell in reversed(grid.cells)}
-    known = [controller for controller in config.contestants if controller.label in first]
+    known = [controller for controller in config.compared if controller.label in first]
     controllers = {controller.label: grid.controller(first[controller.label]) for controller in known}
     seconds = step_times(controllers, record_views(grid.cells[0].scenario, config.seed))
     return {

@@ -54,7 +54,7 @@ class Rollouts:
 
 
 #: Where the teacher goes. It sees the others displaced at random, by as much as ``_DISTURBANCES`` in turn [d*].
-TEACHER_VISITS = tuple(
+TEACHER_ROLLOUTS = tuple(
     Rollouts(*each)
     for each in (
         (2, 10, 10), (3, 30, 15), (4, 60, 20), (5, 100, 25), (6, 100, 30), (7, 150, 40), (8, 150, 40), (9, 200, 40),
@@ -64,7 +64,7 @@ TEACHER_VISITS = tuple(
 )  # fmt: skip
 _DISTURBANCES = (0.0, 0.02, 0.05)
 #: Where the learner goes in each of its rounds.
-LEARNER_VISITS = (
+LEARNER_ROLLOUTS = (
     Rollouts(4, 30, 40, "hardware"),
     Rollouts(6, 30, 40, "hardware"),
     *(Rollouts(*each) for each in ((5, 60, 30), (7, 70, 40), (9, 80, 40), (11, 60, 40), (13, 60, 40), (25, 12, 80))),
@@ -89,15 +89,15 @@ class _Disturbed:
         return self._controller.command(replace(view, poses=poses))
 
 
-def teacher_states(law: TriangulatingLaw, seed: int, visits: Sequence[Rollouts] = TEACHER_VISITS) -> StateBuffer:
+def teacher_states(law: TriangulatingLaw, seed: int, rollouts: Sequence[Rollouts] = TEACHER_ROLLOUTS) -> StateBuffer:
     """States that teams driven by the law visit; a function of the arguments alone."""
     parts = []
-    for visit in visits:
+    for each in rollouts:
         for number, deviation in enumerate(_DISTURBANCES):
-            share = replace(visit, runs=len(range(number, visit.runs, len(_DISTURBANCES))))
-            rng = np.random.default_rng([seed, _DISTURBANCE, visit.robots, number])
+            share = replace(each, runs=len(range(number, each.runs, len(_DISTURBANCES))))
+            rng = np.random.default_rng([seed, _DISTURBANCE, each.robots, number])
             if share.runs > 0:
-                parts.append(_visited(_Disturbed(Triangulating(law=law), deviation, rng), share, (seed, number)))
+                parts.append(_driven(_Disturbed(Triangulating(law=law), deviation, rng), share, (seed, number)))
     return joined(parts)
 
 
@@ -106,7 +106,7 @@ def learner_states(
     spec: PolicySpec,
     seed: int,
     number: int,
-    visits: Sequence[Rollouts] = LEARNER_VISITS,
+    rollouts: Sequence[Rollouts] = LEARNER_ROLLOUTS,
 ) -> StateBuffer:
     """States that teams driven by the policy visit in its round ``number``, counted from 1."""
     with tempfile.TemporaryDirectory(prefix="triform-learner-") as folder:
@@ -118,7 +118,7 @@ def learner_states(
             controller = GnnController(GnnRuntime(Path(folder)))
         else:
             controller = LearnedPolicy(PolicyRuntime(Path(folder)))
-        return joined([_visited(controller, visit, (seed, len(_DISTURBANCES) + number)) for visit in visits])
+        return joined([_driven(controller, each, (seed, len(_DISTURBANCES) + number)) for each in rollouts])
 
 
 def collect_states(
@@ -149,15 +149,15 @@ def collect_states(
     return joined([StateBuffer.load(file) for file in files])
 
 
-def _visited(controller: Controller[PrivilegedView], visit: Rollouts, stream: tuple[int, int]) -> StateBuffer:
-    """States of the runs of one visit."""
-    profile = get_profile(visit.profile)
+def _driven(controller: Controller[PrivilegedView], rollouts: Rollouts, stream: tuple[int, int]) -> StateBuffer:
+    """States of the runs of one rollouts."""
+    profile = get_profile(rollouts.profile)
     seed = int(np.random.SeedSequence([*stream, _STARTS]).generate_state(1, np.uint64)[0])
-    seeds = np.random.SeedSequence([*stream, _WORLDS, visit.robots]).spawn(visit.runs)
-    world = World(sample_starts(visit.robots, visit.runs, seed), profile, seeds=seeds)
-    trajectory = rollout(world, controller, visit.duration)
+    seeds = np.random.SeedSequence([*stream, _WORLDS, rollouts.robots]).spawn(rollouts.runs)
+    world = World(sample_starts(rollouts.robots, rollouts.runs, seed), profile, seeds=seeds)
+    trajectory = rollout(world, controller, rollouts.duration)
     every = round(_PERIOD / profile.control_period)
     positions, time = trajectory.positions[:, ::every], trajectory.time[::every]
-    rng = np.random.default_rng([*stream, _CHOICE, visit.robots])
+    rng = np.random.default_rng([*stream, _CHOICE, rollouts.robots])
     kept = rng.random(positions.shape[:2]) < np.where(time < _BUSY, 1.0, _KEPT_LATER)
     return StateBuffer.of_teams(positions[kept])

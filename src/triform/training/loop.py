@@ -181,14 +181,14 @@ def train(
         if resume and (out / STATE_FILE).exists():
             record = load_state(out / STATE_FILE, learner, optimizer)
         signals = held.enter_context(StopSignals(always=(), unless_ignored=(signal.SIGINT, signal.SIGTERM)))
-        books = None
+        checkpoints = None
         if isinstance(source, SceneSource):
             # Validation draws from the teacher's states too.
             source.visited = collect_states(out, config, learner.policy, 0, processes)
         if processes.first:
             policy = learner.policy
-            books = Checkpoints(out, config, source, learner, policy, optimizer, record, report, save_seconds)
-            held.enter_context(books)
+            checkpoints = Checkpoints(out, config, source, learner, policy, optimizer, record, report, save_seconds)
+            held.enter_context(checkpoints)
         # Nobody writes a state that another has yet to read.
         processes.wait()
         bounds = config.round_steps(source.steps)
@@ -215,9 +215,9 @@ def train(
                         group["lr"] = learning_rate(config, step, source.steps)
                     optimizer.step()
                     stop = stops > 0 and step + 1 < source.steps
-                    if books is not None:
+                    if checkpoints is not None:
                         # A round begins from a saved state, so that it can be repeated.
-                        books.enter(loss, batch.maps, prefetched.waited, save=stop or step + 1 in bounds)
+                        checkpoints.enter(loss, batch.maps, prefetched.waited, save=stop or step + 1 in bounds)
                     if stop:
                         raise KeyboardInterrupt
     return out / "best"
