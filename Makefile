@@ -42,7 +42,7 @@ test-quick: $(VENV)/installed-test
 	$(BIN)/python -m pytest $(QUICK)
 
 gazebo: $(VENV)/installed-evaluate
-	$(BIN)/python -m triform.robots.gazebo.install
+	$(BIN)/python -m triform.simulators.gazebo.install
 
 # Seconds of each campaign of `make fuzz`; docs/reliability.md has what they found.
 FUZZ_SECONDS ?= 120

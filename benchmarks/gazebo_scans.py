@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from triform.robots.gazebo import GazeboServer, State
 from triform.simulation import IDEAL, World, cast_scans, get_arena
+from triform.simulators.gazebo import GazeboServer, State
 from triform.types import FloatArray
 
 ROBOTS, PLACEMENTS = 8, 100

@@ -16,10 +16,10 @@ from contextlib import AbstractContextManager, contextmanager
 import numpy as np
 
 from triform.evaluation.scenario import GAZEBO_STEPS
-from triform.robots.chassis import BASES, Base
-from triform.robots.gazebo import GazeboServer, GazeboTeam, find_gazebo
-from triform.robots.mujoco import MujocoTeam
 from triform.simulation import IDEAL, SimulatedTeam, get_arena
+from triform.simulators.chassis import BASES, Base
+from triform.simulators.gazebo import GazeboServer, GazeboTeam, find_gazebo
+from triform.simulators.mujoco import MujocoTeam
 from triform.threads import limit_threads
 from triform.types import FloatArray
 

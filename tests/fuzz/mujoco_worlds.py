@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from tests.fuzz.trials import campaign, options
-from tests.robots.walls import with_thick_walls
-from triform.robots.chassis import BASES
-from triform.robots.mujoco import MujocoTeam
+from tests.simulators.walls import with_thick_walls
 from triform.simulation import IDEAL, Arena, Footprint, World, cast_scans
 from triform.simulation.profiles import Profile
+from triform.simulators.chassis import BASES
+from triform.simulators.mujoco import MujocoTeam
 from triform.types import FloatArray, ScanConfig
 
 #: Ranges that differ by less are the same [m].

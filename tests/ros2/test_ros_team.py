@@ -14,7 +14,7 @@ import pytest
 from tests.ros2.conftest import Ros
 from triform.evaluation.metrics import TOLERANCE, WINDOW
 from triform.geometry import edge_error
-from triform.robots.gazebo import find_gazebo
+from triform.simulators.gazebo import find_gazebo
 
 ROBOTS = 5
 RATE = 10.0

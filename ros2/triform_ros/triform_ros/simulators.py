@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from triform.robots.gazebo import GazeboServer
 from triform.simulation import IDEAL, Arena, Profile, World, get_arena
+from triform.simulators.gazebo import GazeboServer
 from triform.types import SENSING_RANGE, FloatArray, RangeArray, require
 
 SIMULATORS = ("world", "gazebo")

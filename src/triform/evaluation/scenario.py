@@ -29,8 +29,6 @@ from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.runs import chunks
 from triform.kernels import kernels_were_compiled
 from triform.limits import require_at_most
-from triform.robots.chassis import BASES, Base, braked
-from triform.robots.gazebo import GazeboServer, GazeboTeam
 from triform.simulation import (
     Arena,
     Drive,
@@ -42,6 +40,8 @@ from triform.simulation import (
     sample_starts,
     world_seeds,
 )
+from triform.simulators.chassis import BASES, Base, braked
+from triform.simulators.gazebo import GazeboServer, GazeboTeam
 from triform.types import (
     SENSING_RANGE,
     BoolArray,
@@ -293,7 +293,7 @@ class Scenario:
             return
         self.check_starts(poses)
         if self.simulator == "mujoco":
-            from triform.robots.mujoco import MujocoTeam
+            from triform.simulators.mujoco import MujocoTeam
 
             yield slice(0, len(poses)), MujocoTeam(poses, self.robot, self.surroundings, seeds, self.base)
             return

@@ -1,1 +1,1 @@
-"""Bodies other than the built-in world: simulators and real robots."""
+"""Real robots, their drivers and their emulators."""

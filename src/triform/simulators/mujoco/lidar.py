@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from triform.robots.chassis import LIDAR_HEIGHT
+from triform.simulators.chassis import LIDAR_HEIGHT
 from triform.threads import in_parts
 from triform.types import BoolArray, FloatArray, RangeArray, ScanConfig
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from xml.sax.saxutils import quoteattr
 
-from triform.robots.chassis import (
+from triform.simulation.arena import Arena
+from triform.simulation.kinematics import WHEEL_RADIUS
+from triform.simulation.profiles import Footprint, Profile
+from triform.simulators.chassis import (
     CENTRE_OF_MASS,
     HEIGHT,
     LIDAR_HEIGHT,
@@ -19,9 +22,6 @@ from triform.robots.chassis import (
     check_wheels,
     moments_of_inertia,
 )
-from triform.simulation.arena import Arena
-from triform.simulation.kinematics import WHEEL_RADIUS
-from triform.simulation.profiles import Footprint, Profile
 
 #: Bits of what may touch what: wheels touch the ground alone.
 _BODY, _WHEEL = 1, 2

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from triform.robots.gazebo import GazeboError, Installation, find_gazebo
-from triform.robots.gazebo.install import install, main
-from triform.robots.gazebo.installation import version
+from triform.simulators.gazebo import GazeboError, Installation, find_gazebo
+from triform.simulators.gazebo.install import install, main
+from triform.simulators.gazebo.installation import version
 from triform.types import TriformError
 
 
@@ -81,7 +81,7 @@ def test_only_what_was_made_here_is_replaced(tools: Path, monkeypatch: pytest.Mo
         (folder / name / "inside").mkdir(parents=True)
     add_gazebo(tools)
     add(tools, "g++", 'while [ "$1" != -o ]; do shift; done; : >"$2"')
-    monkeypatch.setattr("triform.robots.gazebo.install._check", lambda built: None)
+    monkeypatch.setattr("triform.simulators.gazebo.install._check", lambda built: None)
     assert install().plugin == folder / version() / "liblockstep.so"
     assert left(tools) == sorted(["0123", "building", "thesis", version()])
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from mujoco.batch import Batch
 
-from triform.robots.chassis import MASS, WHEEL_MASS, WHEEL_PLACE, check_wheels
-from triform.robots.mujoco.shapes import UNTOUCHED, RobotParts, chassis, inertia
 from triform.simulation.kinematics import WHEEL_RADIUS, steer
 from triform.simulation.profiles import Drive, Footprint
+from triform.simulators.chassis import MASS, WHEEL_MASS, WHEEL_PLACE, check_wheels
+from triform.simulators.mujoco.shapes import UNTOUCHED, RobotParts, chassis, inertia
 from triform.types import FloatArray
 
 #: Rollers of a wheel, their largest radius [m] and their share of its mass.

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from triform.files import cannot_write, exclusive, make_folder
-from triform.robots.gazebo.installation import Installation, find_gazebo, gazebo_folder, version
-from triform.robots.gazebo.server import GazeboError, GazeboServer
 from triform.simulation.arena import Arena
 from triform.simulation.profiles import IDEAL
+from triform.simulators.gazebo.installation import Installation, find_gazebo, gazebo_folder, version
+from triform.simulators.gazebo.server import GazeboError, GazeboServer
 from triform.types import TriformError
 
 #: What is made here, and nothing else in the folder, which may be any folder of the user's.
@@ -40,7 +40,7 @@ def install() -> Installation:
         _remove(building)
         make_folder(building)
         try:
-            with as_file(files("triform.robots.gazebo")) as here:
+            with as_file(files("triform.simulators.gazebo")) as here:
                 _run_script(here / "install.sh", building)
             _check(Installation.of_folder(building))
             for other in folder.iterdir():

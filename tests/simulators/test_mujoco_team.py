@@ -18,9 +18,6 @@ from triform.control import drive, make_controller
 from triform.evaluation.events import Event
 from triform.evaluation.scenario import Scenario
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.robots.chassis import BASES, MAX_ACCELERATION, MAX_TURN_ACCELERATION, braked
-from triform.robots.mujoco import MujocoError, MujocoTeam
-from triform.robots.mujoco.model import write_model
 from triform.simulation import (
     HARDWARE,
     IDEAL,
@@ -33,6 +30,9 @@ from triform.simulation import (
     sample_starts,
     steer,
 )
+from triform.simulators.chassis import BASES, MAX_ACCELERATION, MAX_TURN_ACCELERATION, braked
+from triform.simulators.mujoco import MujocoError, MujocoTeam
+from triform.simulators.mujoco.model import write_model
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, ScanConfig, TriformError
 
@@ -374,7 +374,7 @@ def test_teams_change(kind):
 
 
 def test_without_mujoco_there_is_one_sentence(monkeypatch, capsys):
-    for name in [each for each in sys.modules if each.startswith("triform.robots.mujoco")]:
+    for name in [each for each in sys.modules if each.startswith("triform.simulators.mujoco")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert main(["evaluate", "--simulator", "mujoco", "--robots", "3", "--runs", "1", "--threads", "1"]) == 1
@@ -383,7 +383,7 @@ def test_without_mujoco_there_is_one_sentence(monkeypatch, capsys):
 
 def test_a_picture_shows_the_robots():
     code = (
-        "import numpy as np; from triform.robots.mujoco import MujocoTeam; from triform.simulation import IDEAL;"
+        "import numpy as np; from triform.simulators.mujoco import MujocoTeam; from triform.simulation import IDEAL;"
         "picture = MujocoTeam([[[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]], IDEAL).picture(width=160, height=120);"
         "blue = (picture[..., 2] > picture[..., 0] + 40);"
         "print(picture.shape, picture.dtype, blue.mean() > 0.005, blue[:, :80].any(), blue[:, 80:].any())"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from mujoco.batch import Batch
 
-from triform.robots.chassis import MASS, moments_of_inertia
-from triform.robots.mujoco.shapes import RobotParts, chassis
 from triform.simulation.kinematics import integrate, steer
 from triform.simulation.profiles import Drive, Footprint
+from triform.simulators.chassis import MASS, moments_of_inertia
+from triform.simulators.mujoco.shapes import RobotParts, chassis
 from triform.types import FloatArray
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from triform.robots.gazebo.installation import Installation, find_gazebo
-from triform.robots.gazebo.sdf import write_world
-from triform.robots.gazebo.server import GazeboError, GazeboServer, State
-from triform.robots.gazebo.team import GazeboTeam
+from triform.simulators.gazebo.installation import Installation, find_gazebo
+from triform.simulators.gazebo.sdf import write_world
+from triform.simulators.gazebo.server import GazeboError, GazeboServer, State
+from triform.simulators.gazebo.team import GazeboTeam
 
 __all__ = [
     "GazeboError",

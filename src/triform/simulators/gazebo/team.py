@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from triform.robots.chassis import braked
-from triform.robots.gazebo.server import GazeboServer, State
 from triform.simulation.sensors import SensorSuite
+from triform.simulators.chassis import braked
+from triform.simulators.gazebo.server import GazeboServer, State
 from triform.types import BoolArray, FloatArray, PrivilegedView, TriformError, require
 
 

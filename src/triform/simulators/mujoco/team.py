@@ -11,14 +11,14 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
-from triform.robots.chassis import BASES, Base, braked
-from triform.robots.mujoco.lidar import RayCaster
-from triform.robots.mujoco.model import MOTIONS, write_model, write_sight
-from triform.robots.mujoco.picture import draw
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import limit_twists
 from triform.simulation.profiles import Profile
 from triform.simulation.sensors import SensorSuite
+from triform.simulators.chassis import BASES, Base, braked
+from triform.simulators.mujoco.lidar import RayCaster
+from triform.simulators.mujoco.model import MOTIONS, write_model, write_sight
+from triform.simulators.mujoco.picture import draw
 from triform.threads import usable_threads
 from triform.types import (
     BoolArray,

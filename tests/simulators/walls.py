@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from triform.robots.chassis import WALL_THICKNESS
 from triform.simulation import Arena
+from triform.simulators.chassis import WALL_THICKNESS
 from triform.types import FloatArray
 
 

@@ -13,9 +13,9 @@ from triform.control import drive, make_controller
 from triform.evaluation.events import Event
 from triform.evaluation.scenario import Scenario
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.robots.chassis import MAX_ACCELERATION
-from triform.robots.gazebo import GazeboServer, GazeboTeam, Installation
 from triform.simulation import HARDWARE, IDEAL, Arena, Mounting, World, sample_starts
+from triform.simulators.chassis import MAX_ACCELERATION
+from triform.simulators.gazebo import GazeboServer, GazeboTeam, Installation
 from triform.types import ConfigurationError, TriformError
 
 ROBOTS = 5

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 
 import pytest
 
-from triform.robots.gazebo import Installation, find_gazebo
+from triform.simulators.gazebo import Installation, find_gazebo
 
 #: The extra ``test``, for other versions of Python, comes without MuJoCo.
 collect_ignore = [] if find_spec("mujoco") else ["test_mujoco_team.py"]

@@ -39,7 +39,7 @@ def gazebo_folder() -> Path:
 
 def version() -> str:
     """Return a name for what ``make gazebo`` makes: a hash over all that it is made from."""
-    here = files("triform.robots.gazebo")
+    here = files("triform.simulators.gazebo")
     inputs = [here.joinpath(name).read_bytes() for name in ("install.sh", "plugin/lockstep.cc")]
     return hashlib.sha256(b"".join(inputs)).hexdigest()[:16]
 

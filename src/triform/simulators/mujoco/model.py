@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from triform.robots.chassis import Base
-from triform.robots.mujoco.mecanum import MecanumBase
-from triform.robots.mujoco.planar import PlanarBase
-from triform.robots.mujoco.shapes import UNTOUCHED, chassis, write_arena
 from triform.simulation.arena import Arena
 from triform.simulation.profiles import Footprint
+from triform.simulators.chassis import Base
+from triform.simulators.mujoco.mecanum import MecanumBase
+from triform.simulators.mujoco.planar import PlanarBase
+from triform.simulators.mujoco.shapes import UNTOUCHED, chassis, write_arena
 
 #: What moves robots, for each base.
 MOTIONS: dict[Base, type[PlanarBase] | type[MecanumBase]] = {"planar": PlanarBase, "mecanum": MecanumBase}

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from triform.robots.chassis import Base
-from triform.robots.gazebo.installation import Installation, find_gazebo
-from triform.robots.gazebo.sdf import write_world
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import limit_twists
 from triform.simulation.profiles import Profile
+from triform.simulators.chassis import Base
+from triform.simulators.gazebo.installation import Installation, find_gazebo
+from triform.simulators.gazebo.sdf import write_world
 from triform.types import BoolArray, FloatArray, RangeArray, TriformError, require
 
 # The wire; lockstep.cc has the same layouts.

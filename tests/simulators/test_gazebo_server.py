@@ -12,9 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.robots.walls import scattered, with_thick_walls
-from triform.robots.chassis import MAX_ACCELERATION, MAX_TURN_ACCELERATION
-from triform.robots.gazebo import GazeboError, GazeboServer, Installation, State, find_gazebo, write_world
+from tests.simulators.walls import scattered, with_thick_walls
 from triform.simulation import (
     HARDWARE,
     IDEAL,
@@ -26,6 +24,8 @@ from triform.simulation import (
     integrate,
     steer,
 )
+from triform.simulators.chassis import MAX_ACCELERATION, MAX_TURN_ACCELERATION
+from triform.simulators.gazebo import GazeboError, GazeboServer, Installation, State, find_gazebo, write_world
 from triform.types import FloatArray, ScanConfig, TriformError
 
 ROBOTS, SPARE = 5, 2
@@ -278,7 +278,7 @@ def runs(pid: int) -> bool:
 def test_gazebo_ends_when_its_parent_is_killed(gazebo: Installation, hung: bool) -> None:
     code = """
 import sys
-from triform.robots.gazebo import GazeboServer
+from triform.simulators.gazebo import GazeboServer
 from triform.simulation import IDEAL, Arena
 server = GazeboServer(IDEAL, Arena.open(), 1)
 print(server.pid, flush=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from triform.robots.mujoco.lidar import RayCaster
-from triform.robots.mujoco.model import write_model
-from triform.robots.mujoco.team import MujocoError, MujocoTeam
+from triform.simulators.mujoco.lidar import RayCaster
+from triform.simulators.mujoco.model import write_model
+from triform.simulators.mujoco.team import MujocoError, MujocoTeam
 
 __all__ = ["MujocoError", "MujocoTeam", "RayCaster", "write_model"]

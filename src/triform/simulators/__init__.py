@@ -1,0 +1,1 @@
+"""Bodies simulated by others than the built-in world: MuJoCo and Gazebo."""
