@@ -127,7 +127,7 @@ def test_a_folder_that_is_held_says_who_holds_it_and_is_let_go(tmp_path: Path) -
         with pytest.raises(TriformError, match="another process is writing into"):
             files.exclusive(tmp_path).__enter__()
     assert list(tmp_path.iterdir()) == []
-    # What a killed process left holds nobody up.
+    # What a killed process left locks no folder.
     (tmp_path / ".lock").write_text("1\n")
     with files.exclusive(tmp_path):
         pass

@@ -8,7 +8,6 @@ compute anything, or end the process.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import time
@@ -20,13 +19,14 @@ import numpy as np
 from numba import types
 from numba.core.registry import cpu_target
 
+from tests.fuzz.trials import options
 from triform import kernels
 
 _SIGNATURE = (types.int64, types.int64)
 
 
 def fresh() -> Any:
-    """A kernel that nobody has called yet; what an earlier one left in the folder is its code too."""
+    """A kernel that has not been called yet; what an earlier one left in the folder is its code too."""
 
     def double_and_add(x: int, y: int) -> int:
         return 2 * x + y
@@ -90,18 +90,12 @@ def campaign(
 
 def main() -> int:
     """Run the campaign; 1 if a damaged kernel was loaded."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--tries", type=int, default=sys.maxsize)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
+    given = options(__doc__ or "", sys.maxsize, 60.0)
     with tempfile.TemporaryDirectory() as folder:
         kernels._FOLDER = Path(folder)
-        tried, loaded = campaign(
-            KeptKernel(Path(folder)), tries=options.tries, seconds=options.seconds, seed=options.seed
-        )
+        tried, loaded = campaign(KeptKernel(Path(folder)), tries=given.tries, seconds=given.seconds, seed=given.seed)
     for number in loaded:
-        sys.stdout.write(f"loaded: mutation {number} of seed {options.seed}\n")
+        sys.stdout.write(f"loaded: mutation {number} of seed {given.seed}\n")
     sys.stdout.write(f"kept kernels: {tried} tried, {len(loaded)} failed\n")
     return int(bool(loaded))
 

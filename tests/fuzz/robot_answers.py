@@ -9,7 +9,6 @@ controller of one robot, to its wheels.
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import sys
@@ -19,6 +18,7 @@ import warnings
 
 import numpy as np
 
+from tests.fuzz.trials import options
 from triform.control import ControllerSpec
 from triform.robots.drive import DriveConfig
 from triform.robots.laser_scan import Turn
@@ -129,7 +129,7 @@ def dry(rng: np.random.Generator) -> None:
 
 
 class DamagedRobot(RoboMasterEmulator):
-    """Damages, cuts and delays what it answers and pushes, once it is told to."""
+    """Damages, cuts and delays what it answers and pushes, once ``damaging`` is set."""
 
     def __init__(self, address: str, rng: np.random.Generator) -> None:
         self.damaging = False
@@ -198,17 +198,14 @@ def live(rng: np.random.Generator, address: str) -> None:
 
 def main() -> int:
     """Run the campaign and return the exit status."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    given = options(__doc__ or "", sys.maxsize, 60.0)
     warnings.simplefilter("error")
     address = f"127.75.{os.getpid() // 250 % 250}.{os.getpid() % 250 + 1}"
     broken: list[str] = []
     threading.excepthook = lambda args: broken.append(f"{args.exc_type.__name__} in a thread: {args.exc_value}")
     tried = lived = failed = 0
     end = time.monotonic() + given.seconds
-    while time.monotonic() < end:
+    while tried < given.tries and time.monotonic() < end:
         rng = np.random.default_rng([given.seed, tried])
         try:
             if tried % LIVE_EVERY == 0:

@@ -365,7 +365,7 @@ def test_a_network_for_other_maps_is_refused() -> None:
 
 
 def some_policies(tmp_path: Path, count: int) -> list[tuple[PolicySpec, bytes]]:
-    """Descriptions and weights of policies that are told apart by their ``rest_speed``."""
+    """Descriptions and weights of policies that differ in their ``rest_speed``."""
     found = []
     for number in range(count):
         torch.manual_seed(number)

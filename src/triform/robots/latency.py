@@ -21,7 +21,7 @@ PARTS = {
 }
 
 
-#: Shortest time that is told from longer ones [s], ratio of the bounds of a bin, and number of bins: up to 1000 s.
+#: Upper bound of the first bin [s], ratio of the bounds of a bin, and number of bins: up to 1000 s.
 _SHORTEST, _RATIO, _BINS = 1e-6, 1.002, 10_400
 
 

@@ -91,7 +91,7 @@ class RoboMasterEmulator:
 
     @property
     def command(self) -> FloatArray:
-        """What the wheels are told now: a body twist in REP 103, shape (3,) [m/s, m/s, rad/s]."""
+        """The command of the wheels now: a body twist in REP 103, shape (3,) [m/s, m/s, rad/s]."""
         now = time.monotonic()
         return next((twist.copy() for until, twist in self._plan if now < until), np.zeros(3))
 
