@@ -12,15 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from triform.control import (
-    ControllerSpec,
-    SafetyFilter,
-    SafetySettings,
-    control_steps,
-    make_controller,
-    reaction_time,
-    rolling_arcs,
-)
+from triform.control import ControllerSpec, SafetyFilter, control_steps, make_controller
 from triform.evaluation.events import Event, EventRun, run_event
 from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
@@ -29,6 +21,7 @@ from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.runs import chunks
 from triform.kernels import kernels_were_compiled
 from triform.limits import require_at_most
+from triform.robots.filter import safety_settings
 from triform.simulation import (
     Arena,
     Drive,
@@ -158,16 +151,7 @@ class Scenario:
             controller = make_controller(controller, self.distance, footprint=self.robot.footprint.size)
         if not self.guard or isinstance(controller, SafetyFilter):
             return controller
-        robot, drive, lidar = self.robot, self.drive_limits, self.robot.lidar
-        period = robot.control_period
-        reaction = reaction_time(period, lidar.period, robot.latency, lidar.rolling, drive.braking_lag)
-        settings = SafetySettings(
-            robot.footprint.size, reaction=reaction, max_speed=drive.max_speed, max_axis_speed=drive.max_axis_speed
-        )
-        if drive.wheels is not None:
-            arcs = rolling_arcs(drive.wheels, period, drive.turning_lag, 0.0 if robot.odometry else reaction)
-            settings = replace(settings, arcs=arcs)
-        return SafetyFilter(controller, settings)
+        return SafetyFilter(controller, safety_settings(replace(self.robot, drive=self.drive_limits)))
 
     def sample_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
         """Return random starts, shape (runs, robots, 3) [m, m, rad]: functions of (robots, seed, index) and event."""
