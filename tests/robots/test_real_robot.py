@@ -223,6 +223,37 @@ def test_no_odometry_where_the_base_does_not_know_or_nobody_wants_it() -> None:
     assert make_robot(lidar, FakeBase()).observe().odometry is not None
 
 
+def test_a_differential_base_stands_while_its_odometry_is_missing_and_says_so_once_after_a_while() -> None:
+    said: list[str] = []
+    lidar, base = FakeLidar(fresh_turn()), FakeBase(knows=False)
+    wheels = Drive(max_speed=0.3, max_turn_rate=1.0, kind="differential")
+    robot = RealRobot(lidar, base, 0.01, 3, wheels, warn=said.append, scan_timeout=0.2)
+
+    def step() -> np.ndarray:
+        lidar.turn = fresh_turn()
+        robot.observe()
+        robot.apply(np.array([[[0.05, 0.0, 0.0]]]), 0.01)
+        return base.commands[-1]
+
+    assert robot.standing == "there is no scan that can be used"
+    began = time.monotonic()
+    while time.monotonic() < began + 0.15:
+        assert not step().any()
+        assert said == []
+    while time.monotonic() < began + 0.5:
+        assert not step().any()
+    assert said == [robot.standing]
+    assert "odometry" in robot.standing
+    base.knows = True
+    np.testing.assert_array_equal(step(), [0.05, 0.0, 0.0])
+    assert robot.standing == ""
+    # Without odometry its filter allows for all that it may have turned, and a holonomic base needs none.
+    for limits, wanted in ((wheels, False), (LIMITS, True)):
+        blind = RealRobot(lidar, FakeBase(knows=False), 0.01, 3, limits, odometry=wanted)
+        blind.observe()
+        assert blind.standing == ""
+
+
 def test_pushes_are_those_of_its_own_seed_and_small_for_a_slow_base() -> None:
     slow = RealRobot(FakeLidar(), None, 0.1, 5, LIMITS).observe().noise
     fast = RealRobot(FakeLidar(), None, 0.1, 5, Drive()).observe().noise

@@ -56,6 +56,7 @@ class SensorSuite:
         poses: FloatArray,
         active: BoolArray,
         seeds: Sequence[int | np.random.SeedSequence] | None = None,
+        from_lidar: bool = False,
     ) -> None:
         """Begin the first turn at time 0.
 
@@ -64,6 +65,7 @@ class SensorSuite:
             poses: Poses in the world frame, shape (B, N, 3) [m, m, rad].
             active: Which robots exist, shape (B, N).
             seeds: One seed for every world; may be left out if the profile has no random errors.
+            from_lidar: Whether scans are shown as the LiDARs measure them, and not as seen from the base's centre.
 
         Raises:
             ConfigurationError: If seeds are missing.
@@ -72,7 +74,9 @@ class SensorSuite:
         self._profile = profile
         # What is measured reaches as far from the LiDAR as a view does from the base.
         self._measured = replace(lidar, scan=profile.from_lidar)
-        self._placement = None if profile.mounting == Mounting() else Placement(lidar.scan, profile.mounting)
+        self._shown_scan = self._measured.scan if from_lidar else lidar.scan
+        as_measured = from_lidar or profile.mounting == Mounting()
+        self._placement = None if as_measured else Placement(lidar.scan, profile.mounting)
         self._noisy = bool(lidar.noise) or lidar.angle_noise > 0 or lidar.dropout > 0
         self._seeds = _sequences(seeds, len(poses), self._noisy)
         self._rngs: dict[tuple[int, int], np.random.Generator] = {}
@@ -190,7 +194,7 @@ class SensorSuite:
         resting = resting_poses(poses, velocities, drive)
         odometry = relative_poses(resting, self._shown, active) if self._profile.odometry else None
         return PrivilegedView(
-            scans=Scan(self._newest, self._profile.lidar.scan),
+            scans=Scan(self._newest, self._shown_scan),
             active=active.copy(),
             time=time,
             poses=poses.copy(),

@@ -55,6 +55,7 @@ class World:
         arena: Arena | None = None,
         seeds: Sequence[int | np.random.SeedSequence] | None = None,
         active: ArrayLike | None = None,
+        from_lidar: bool = False,
     ) -> None:
         """Place the robots at rest.
 
@@ -64,6 +65,8 @@ class World:
             arena: Walls and pillars; by default none.
             seeds: One seed for every world; may be left out if the profile has no random errors.
             active: Which robots exist, shape (B, N); by default all.
+            from_lidar: Whether views show scans as the LiDARs measure them, each from where it is mounted, as the
+                driver of a real one does; controllers want them from the base's centre.
 
         Raises:
             ConfigurationError: If shapes do not fit, an active robot's pose is not finite, or seeds are missing.
@@ -96,7 +99,7 @@ class World:
         self._collided = np.zeros(worlds, dtype=np.bool_)
         self._hit_arena = np.zeros(worlds, dtype=np.bool_)
         self._time = 0.0
-        self._senses = SensorSuite(profile, self._poses, self._active, seeds)
+        self._senses = SensorSuite(profile, self._poses, self._active, seeds, from_lidar)
         self._record()
         if not profile.lidar.rolling:
             self._senses.finish(self._snapshot(), self._poses, self._active)
