@@ -53,6 +53,7 @@ def parameters(name: str) -> tuple[Parameter, ...]:
     size = [outline.length] if outline.is_circle else [outline.length, outline.width]
     sectors = " ".join(f"{begin:g}:{end:g}" for begin, end in mounting.blind_sectors)
     turn_rate = drive.max_turn_rate if drive.is_differential else _TURN_RATE
+    yaw = math.remainder(mounting.yaw, math.tau)
     stamped = wants_stamped(os.environ.get("ROS_DISTRO"))
     return (
         Parameter("profile", "", "Robot profile, whose values are the defaults of the others: a name or a TOML file"),
@@ -63,7 +64,7 @@ def parameters(name: str) -> tuple[Parameter, ...]:
         Parameter("control_rate", 1 / robot.control_period, "Commands per second [Hz]", 1.0, 100.0),
         Parameter("scan_timeout", 0.5, "The robot stands while its newest scan is older [s]", 0.05, 5.0, live=True),
         Parameter("rays", robot.lidar.scan.rays, "Rays of the full turn that scans are brought onto", 90, 7200),
-        Parameter("mounting", mounting.yaw, "Direction of the LiDAR's x axis on the robot [rad]", -math.pi, math.pi),
+        Parameter("mounting", yaw, "Direction of the LiDAR's x axis on the robot [rad]", -math.pi, math.pi),
         Parameter("lidar_position", [mounting.x, mounting.y], "Where the LiDAR is, forward and left of the centre [m]"),
         Parameter("upside_down", not mounting.upright, "Whether the LiDAR hangs upside down"),
         Parameter("tf_timeout", 5.0, "How long to wait for /tf_static to say how the LiDAR is mounted [s]", 0.0, 60.0),
