@@ -151,7 +151,7 @@ class TwistTopic:
         self._fastest: list[float] = []
         self.limit(limits)
         self._publisher = node.create_publisher(TwistStamped if stamped else Twist, "cmd_vel", 1)
-        self._check = node.create_timer(_LISTENERS_PERIOD, self._count_listeners)
+        node.create_timer(_LISTENERS_PERIOD, self._count_listeners)
         if odometry:
             node.create_subscription(Odometry, "odom", self._note, qos_profile_sensor_data)
 
