@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal
 
-from triform.simulation.profiles import Drive, Footprint
+from triform.simulation.profiles import Drive, Footprint, Profile
 from triform.types import require
 
-#: How a robot moves: by a force in the plane, or on four mecanum wheels.
-Base = Literal["planar", "mecanum"]
-BASES: tuple[Base, ...] = ("planar", "mecanum")
+#: How a robot moves: by a force in the plane, on four mecanum wheels, or on two driven wheels and casters.
+Base = Literal["planar", "mecanum", "differential"]
+BASES: tuple[Base, ...] = ("planar", "mecanum", "differential")
 
 #: RoboMaster EP: mass of the whole robot [kg] and height [m].
 MASS = 3.4
@@ -43,6 +43,20 @@ def moments_of_inertia(footprint: Footprint, mass: float) -> tuple[float, float,
     across, along = (mass * (size**2 + HEIGHT**2) / 12 for size in (footprint.width, footprint.length))
     turning = mass * (footprint.length**2 + footprint.width**2) / (8 * 2 if footprint.is_circle else 12)
     return across, along, turning
+
+
+def check_base(base: Base, profile: Profile) -> None:
+    """Make sure that robots of a profile can stand on a base: on its own wheels, or on none.
+
+    Raises:
+        ConfigurationError: They cannot.
+    """
+    own = "differential" if profile.drive.is_differential else "mecanum"
+    require(
+        base in ("planar", own),
+        f"base is {base!r}, but robots of the {profile.drive.kind} profile {profile.name!r} drive on a planar or a "
+        f"{own} base",
+    )
 
 
 def check_wheels(footprint: Footprint) -> None:
