@@ -19,6 +19,12 @@ HEIGHT = 0.27
 WHEEL_PLACE = 0.10
 WHEEL_MASS = 0.1
 CENTRE_OF_MASS = 0.08
+#: Differential robots: half the width of a driven wheel, and the radius of a caster's ball [m].
+WHEEL_HALF_WIDTH = 0.009
+BALL_RADIUS = 0.01
+#: The balls stand before and behind the axle at this share of the footprint's half length, about as those of a Create 3
+#: (0.73) and of a TurtleBot3 Burger (0.65).
+CASTER_PLACE = 0.7
 #: Height of the LiDAR, above the wheels [m].
 LIDAR_HEIGHT = 0.20
 #: What a drive without limits of its own can do [m/s^2, rad/s^2]: an assumption, because real wheels slip.
@@ -56,6 +62,20 @@ def check_base(base: Base, profile: Profile) -> None:
         base in ("planar", own),
         f"base is {base!r}, but robots of the {profile.drive.kind} profile {profile.name!r} drive on a planar or a "
         f"{own} base",
+    )
+
+
+def check_axle(profile: Profile) -> None:
+    """Make sure that the two wheels of a differential profile fit under its footprint.
+
+    Raises:
+        ConfigurationError: They do not, or their distance is not known.
+    """
+    track, width = profile.drive.track, profile.footprint.width
+    require(
+        0 < track < width,
+        f"track is {track} m; the wheels of a differential base need a distance, and a place under their footprint, "
+        f"which is {width} m wide",
     )
 
 

@@ -6,17 +6,18 @@ import numpy as np
 from mujoco.batch import Batch
 
 from triform.simulation.profiles import Drive, Profile
-from triform.simulators.chassis import MASS, WHEEL_MASS
+from triform.simulators.chassis import (
+    BALL_RADIUS,
+    CASTER_PLACE,
+    MASS,
+    WHEEL_HALF_WIDTH,
+    WHEEL_MASS,
+    check_axle,
+)
 from triform.simulators.mujoco.shapes import UNTOUCHED, RobotParts, chassis, inertia
 from triform.simulators.mujoco.wheeled import ARMATURE, WheeledBase
-from triform.types import FloatArray, require
+from triform.types import FloatArray
 
-#: Half the width of a wheel [m]. Its tread is rounded, so that it touches the ground in one point.
-_HALF_WIDTH = 0.009
-#: Radius of a caster's ball [m]; it is this share of the footprint's half length before and behind the axle, about as
-#: those of a Create 3 (0.73) and of a TurtleBot3 Burger (0.65).
-_BALL_RADIUS = 0.01
-_CASTER_PLACE = 0.7
 #: A ball rolls in any direction: no friction. It gives way more than the wheels do, so that they carry the robot.
 _BALL = 'condim="1" solref="0.04 1"'
 
@@ -39,23 +40,21 @@ class DifferentialBase(WheeledBase):
             ConfigurationError: The wheels do not fit under the footprint, or their distance is not known.
         """
         footprint, drive = profile.footprint, profile.drive
-        require(
-            0 < drive.track < footprint.width,
-            f"track is {drive.track} m; the wheels of a differential base need a distance, and a place under their "
-            f"footprint, which is {footprint.width} m wide",
-        )
+        check_axle(profile)
         radius = drive.wheel_radius
         moment = 0.5 * WHEEL_MASS * radius**2
+        # Treads are rounded, so that a wheel touches the ground in one point.
         wheels = "".join(
             f"""<body pos="0 {side * drive.track / 2} {radius}">
       <joint type="hinge" axis="0 1 0" armature="{ARMATURE}"/>{inertia(WHEEL_MASS, 0.0, (moment, moment, moment))}
-      <geom name="{name}{index}" type="ellipsoid" size="{radius} {_HALF_WIDTH} {radius}" {UNTOUCHED} material="tyre"/>
+      <geom name="{name}{index}" type="ellipsoid" size="{radius} {WHEEL_HALF_WIDTH} {radius}" {UNTOUCHED}
+        material="tyre"/>
     </body>"""
             for name, side in (("left", 1), ("right", -1))
         )
-        place = _CASTER_PLACE * footprint.half_length
+        place = CASTER_PLACE * footprint.half_length
         balls = "".join(
-            f'<geom name="{name}{index}" type="sphere" size="{_BALL_RADIUS}" pos="{side * place} 0 {_BALL_RADIUS}" '
+            f'<geom name="{name}{index}" type="sphere" size="{BALL_RADIUS}" pos="{side * place} 0 {BALL_RADIUS}" '
             f'{UNTOUCHED} material="tyre"/>'
             for name, side in (("front", 1), ("rear", -1))
         )
