@@ -105,12 +105,14 @@ def test_wheels_hardly_slip_and_stand_where_they_were_stopped(profile):
     commands = np.array([[[limits.max_speed, 0, 0], [-0.2, 0, 0.6], [0.1, 0, -1.5], [0, 0, limits.max_turn_rate]]])
     start = np.array([[(3.0 * i, 0.0, 0.9 * i) for i in range(4)]])
     team = MujocoTeam(start, profile, base="differential")
-    motion, slip = team._motion, []
+    motion, slip, tilt = team._motion, [], []
     for k in range(150):
         team.apply(commands * (k < 100), 0.01)
         wheels = motion._wheels * limits.wheel_radius
         along, turn = wheels.mean(axis=-1), (wheels[..., 1] - wheels[..., 0]) / limits.track
         slip.append(team.velocities - np.stack([along, np.zeros_like(along), turn], axis=-1))
+        tilt.append(2 * np.hypot(*motion.frames[..., 4:6].T).max())
+    assert max(tilt) < np.radians(0.1)
     # While accelerating, driving and braking: 1 mm/s along the axis, 3 mm/s across it, 0.5 degrees per second.
     assert (np.abs(slip).max(axis=(0, 1, 2)) < [1e-3, 3e-3, 0.01]).all()
     still = np.zeros_like(commands)
