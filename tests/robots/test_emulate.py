@@ -75,7 +75,7 @@ def test_a_mounted_lidar_shows_the_same_world_to_a_driver_that_knows_its_mountin
         assert turn is not None
         poses, everybody = emulation.poses[None], np.ones((1, 2), dtype=np.bool_)
     scan = config.model.scan_config(7.5)
-    shown = Placement(scan, mounting).from_base(turn.ranges)
+    shown = Placement(scan, mounting).from_base(turn.ranges)[0]
     exact = cast_scans(poses, everybody, HARDWARE.footprint, config.surroundings, scan)[0, 1]
     wrong = ~(np.abs(shown - exact) < 0.06)
     assert wrong.mean() < 0.08

@@ -2,6 +2,7 @@
 
 from triform.control.expert import EXPERTS, Expert, ExpertVariant, Springs, expert_into, expert_variant
 from triform.control.gnn import GnnController
+from triform.control.intensity import IntensityThreshold
 from triform.control.learned import LearnedPolicy
 from triform.control.loop import control_steps, drive
 from triform.control.registry import (
@@ -26,6 +27,7 @@ __all__ = [
     "Expert",
     "ExpertVariant",
     "GnnController",
+    "IntensityThreshold",
     "LearnedPolicy",
     "SafetyFilter",
     "SafetySettings",

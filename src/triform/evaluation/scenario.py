@@ -14,6 +14,7 @@ import numpy as np
 
 from triform.control import (
     ControllerSpec,
+    IntensityThreshold,
     SafetyFilter,
     SafetySettings,
     control_steps,
@@ -120,6 +121,11 @@ class Scenario:
         robot = self.overrides.applied_to(get_profile(self.profile), self.distance)
         if self.simulator == "gazebo" or self.base == "mecanum":
             robot.require_holonomic("Gazebo" if self.simulator == "gazebo" else "a base of mecanum wheels")
+        require(
+            self.simulator != "gazebo" or robot.lidar.min_intensity is None,
+            f"min_intensity is {robot.lidar.min_intensity}, but Gazebo's LiDARs say nothing of materials; it goes with "
+            "simulator builtin or mujoco",
+        )
         object.__setattr__(self, "_robot", robot)
         object.__setattr__(self, "_arena", get_arena(self.arena))
 
@@ -148,6 +154,8 @@ class Scenario:
     def make_controller(self, controller: Controller[Any] | str | ControllerSpec = "policy") -> Controller[Any]:
         """Make a controller for these robots, behind the safety filter unless ``guard`` is off.
 
+        With a ``min_intensity`` it does not see what is dimmer; the filter does.
+
         Args:
             controller: The name of one, or one without its filter; one that has a filter already stays as it is.
 
@@ -156,7 +164,12 @@ class Scenario:
         """
         if isinstance(controller, str | ControllerSpec):
             controller = make_controller(controller, self.distance, footprint=self.robot.footprint.size)
-        if not self.guard or isinstance(controller, SafetyFilter):
+        if isinstance(controller, SafetyFilter):
+            return controller
+        threshold = self.robot.lidar.min_intensity
+        if threshold is not None and not isinstance(controller, IntensityThreshold):
+            controller = IntensityThreshold(controller, threshold)
+        if not self.guard:
             return controller
         robot, drive, lidar = self.robot, self.drive_limits, self.robot.lidar
         period = robot.control_period

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from triform.simulation.intensity import Brightness
 from triform.types import FloatArray, as_array, choose, convert_fields, converted, require
 
 
@@ -18,11 +19,16 @@ class Arena:
         name: Name, recorded with results.
         walls: Segments x1, y1, x2, y2 without thickness, shape (W, 4) [m].
         pillars: Solid circles x, y, radius, shape (K, 3) [m].
+        wall_intensities: How bright LiDARs see each wall, in their own scale, shape (W,); ``NaN`` is as they see most
+            obstacles, which all are if omitted.
+        pillar_intensities: The same of each pillar, shape (K,).
     """
 
     name: str = "open"
     walls: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
     pillars: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    wall_intensities: FloatArray = field(default_factory=lambda: np.zeros(0))
+    pillar_intensities: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         convert_fields(self)
@@ -33,9 +39,29 @@ class Arena:
                 f"{name} of shape {values.shape} given; a table of {columns} finite columns is needed",
             )
             object.__setattr__(self, name, values)
+            self._check_intensities(f"{name[:-1]}_intensities", len(values))
         lengths = np.hypot(self.walls[:, 2] - self.walls[:, 0], self.walls[:, 3] - self.walls[:, 1])
         require(bool((lengths > 0).all()), "a wall has no length; its two ends must differ")
         require(bool((self.pillars[:, 2] > 0).all()), "the radius of a circle must be positive")
+
+    def _check_intensities(self, name: str, obstacles: int) -> None:
+        """Give every obstacle of a kind its intensity, or refuse those that are given."""
+        values = np.array(as_array(name, getattr(self, name)))
+        values = values if values.size else np.full(obstacles, np.nan)
+        require(
+            values.shape == (obstacles,) and bool((np.isnan(values) | ((values >= 0) & (values < np.inf))).all()),
+            f"{name} of shape {values.shape} given; one for each of {obstacles}, finite and not negative, is needed",
+        )
+        object.__setattr__(self, name, values)
+
+    def levels(self, brightness: Brightness) -> FloatArray:
+        """Return how bright a LiDAR sees what rays hit, by what ``cast_moving`` says of hits, shape (W + K + 2,).
+
+        The last value, which -1 means too, is ``NaN``, that of nothing.
+        """
+        obstacles = np.concatenate([self.wall_intensities, self.pillar_intensities])
+        usual = np.where(np.isnan(obstacles), brightness.obstacle, obstacles)
+        return np.concatenate([usual, [brightness.robot, np.nan]])
 
     @classmethod
     def open(cls) -> Arena:
