@@ -170,6 +170,7 @@ def test_profiles_and_arenas_with_intensities_are_read_as_they_were_written(tmp_
     arena = Arena("hall", np.eye(4)[:3], np.ones((2, 3)), [1.5, np.nan, 200.0], [np.nan, 7.0])
     path.write_text(arena_toml(arena))
     found = get_arena(str(path))
+    assert replace(Arena("bare", np.eye(4)), walls=np.eye(4)[:2]).levels(Brightness()).shape == (4,)
     np.testing.assert_array_equal(found.wall_intensities, arena.wall_intensities)
     np.testing.assert_array_equal(found.pillar_intensities, arena.pillar_intensities)
     path.write_text("walls = [[0, 0, 1, 0]]\nboxes = [{center = [1, 1], length = 1, width = 1, intensity = 30}]")

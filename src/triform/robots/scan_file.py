@@ -83,4 +83,6 @@ def read_scans(folder: Path) -> RecordedScans:
         raise TriformError(f"{path} holds something else than numbers: {error}") from None
     if rows.size == 0:
         raise TriformError(f"{path} holds no scan")
+    if rows.shape[1] != len(columns):
+        raise TriformError(f"{path} has {rows.shape[1]} numbers in a row under {len(columns)} columns")
     return RecordedScans(rows[:, 0], rows[:, 1], rows[:, 2 : 2 + rays], rows[:, 2 + rays :])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from triform.simulation.arena import Arena, walls_around
+from triform.simulation.arena import Arena, box_walls
 from triform.simulation.tables import TomlTable, are_numbers, quoted
 from triform.types import ConfigurationError, FloatArray
 
@@ -44,9 +44,7 @@ def _sides(box: TomlTable) -> FloatArray:
             raise box.wrong(key, value, "it must be positive and finite [m]")
     if not np.isfinite(heading):
         raise box.wrong("heading", heading, "it must be finite [rad]")
-    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [length / 2, width / 2]
-    turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
-    return walls_around(corners @ turn + np.asarray(center, dtype=np.float64))
+    return box_walls(np.asarray(center, dtype=np.float64), length, width, heading)
 
 
 def arena_toml(arena: Arena) -> str:
@@ -63,6 +61,6 @@ def arena_toml(arena: Arena) -> str:
 
 
 def _rows(table: FloatArray, intensities: FloatArray) -> str:
-    levels = [[] if np.isnan(level) else [level] for level in intensities.tolist()]
+    levels = [[] if np.isnan(level) else [level] for level in intensities.tolist()] or [[]] * len(table)
     rows = ",\n".join(f"    {row + level}" for row, level in zip(table.tolist(), levels, strict=True))
     return f"[\n{rows},\n]" if rows else "[]"
