@@ -113,7 +113,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def screen_of(config: DriveConfig, console: Console) -> DriveScreen:
-    return DriveScreen(console, config.outline, config.dry_run)
+    return DriveScreen(console, config.outline, config.dry_run, config.threshold)
 
 
 def run(config: DriveConfig, shown: io.StringIO | None = None) -> str:
@@ -147,7 +147,8 @@ def test_a_dry_run_needs_no_base_and_sends_nothing() -> None:
 def test_what_is_dimmer_than_tape_is_no_neighbour_and_stops_the_robot_all_the_same() -> None:
     """A robot 0.6 m ahead is fled; the same return without tape is not, and nobody drives into it."""
     for threshold, flees in ((230.0, True), (250.0, False)):
-        run(DriveConfig(controller=SCAN_PIPELINE, duration=1.5, rate=20.0, min_intensity=threshold))
+        said = run(DriveConfig(controller=SCAN_PIPELINE, duration=1.5, rate=20.0, min_intensity=threshold))
+        assert f"neighbours {int(flees)}" in said
         commands = np.array(made[-1].commands)
         assert (commands[-1, 0] == pytest.approx(-0.1)) == flees
     with pytest.raises(ConfigurationError, match=r"min_intensity is 300; it must lie between 0 and 255"):

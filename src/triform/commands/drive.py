@@ -24,4 +24,4 @@ class Drive(DriveConfig):
 
     def run(self, console: Console) -> None:
         """Drive, show how it goes, and where the time went."""
-        run_drive(self, DriveScreen(console, self.outline, self.dry_run))
+        run_drive(self, DriveScreen(console, self.outline, self.dry_run, self.threshold))

@@ -12,14 +12,31 @@ from typing import Any, Generic
 
 import numpy as np
 
-from triform.types import Controller, FloatArray, TriformError, ViewIn, converted, require
+from triform.types import Controller, FloatArray, Scan, TriformError, ViewIn, converted, require
+
+
+def bright_returns(scans: Scan, min_intensity: float) -> Scan:
+    """Return scans in which a return that is dimmer than ``min_intensity`` is none (``+inf``).
+
+    What is no measurement (``NaN``) stays so.
+
+    Raises:
+        TriformError: There are returns, and the scans do not say how bright they are.
+    """
+    returns = scans.ranges < np.inf
+    if scans.intensities is None:
+        if returns.any():
+            raise TriformError(
+                f"min_intensity is {min_intensity:g}, but the scans say nothing about intensities; a LiDAR that "
+                "measures them is needed"
+            )
+        return scans
+    dim = returns & ~(scans.intensities >= min_intensity)
+    return replace(scans, ranges=np.where(dim, scans.ranges.dtype.type(np.inf), scans.ranges))
 
 
 class IntensityThreshold(Generic[ViewIn]):
-    """Any controller, which sees only returns that are bright enough: a controller for the same views.
-
-    A dimmer return becomes none (``+inf``); what is no measurement (``NaN``) stays so.
-    """
+    """Any controller, which sees only returns that are bright enough: a controller for the same views."""
 
     def __init__(self, controller: Controller[ViewIn], min_intensity: float) -> None:
         """Take a controller.
@@ -51,17 +68,6 @@ class IntensityThreshold(Generic[ViewIn]):
         Raises:
             TriformError: There are returns, and the scans do not say how bright they are.
         """
-        scans = view.scans
-        returns = scans.ranges < np.inf
-        if scans.intensities is None:
-            if returns.any():
-                raise TriformError(
-                    f"min_intensity is {self._least:g}, but the scans say nothing about intensities; a LiDAR that "
-                    "measures them is needed"
-                )
-            return self._controller.command(view)
-        dim = returns & ~(scans.intensities >= self._least)
-        ranges = np.where(dim, scans.ranges.dtype.type(np.inf), scans.ranges)
         # Of a generic view, dataclasses.replace does not know that it is one.
-        seen: Any = replace(view, scans=replace(scans, ranges=ranges))
+        seen: Any = replace(view, scans=bright_returns(view.scans, self._least))
         return self._controller.command(seen)
