@@ -50,8 +50,8 @@ class SensorSuite:
         ranges: What a rolling LiDAR has measured in the running turn [m], shape (B, N, R), written by whoever casts
             the rays; R is 0 for a LiDAR that measures all rays at once.
         offsets: Errors of the angles of these rays [rad], shape (B, N, R); R is 0 without such errors.
-        hits: What these rays hit, see ``cast_moving``, written with them, shape (B, N, R); R is 0 for a LiDAR without
-            ``min_intensity``, whose intensities nobody needs.
+        hits: What these rays hit, see ``cast_moving``, written with them, shape (B, N, R); R is 0 unless ``is_bright``.
+        is_bright: Whether intensities are simulated: of a LiDAR with ``min_intensity``, which needs them.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class SensorSuite:
             poses: Poses in the world frame, shape (B, N, 3) [m, m, rad].
             active: Which robots exist, shape (B, N).
             seeds: One seed for every world; may be left out if the profile has no random errors.
-            arena: What is there besides robots, for intensities; by default nothing.
+            arena: What is there besides robots; without it, the intensities of what rays hit are not known.
 
         Raises:
             ConfigurationError: If seeds are missing.
@@ -80,7 +80,7 @@ class SensorSuite:
         self._measured = replace(lidar, scan=profile.from_lidar)
         self._placement = None if profile.mounting == Mounting() else Placement(lidar.scan, profile.mounting)
         self._noisy = bool(lidar.noise) or lidar.angle_noise > 0 or lidar.dropout > 0
-        self.is_bright = lidar.min_intensity is not None
+        self.is_bright = lidar.min_intensity is not None and arena is not None
         self._levels = (arena or Arena.open()).levels(lidar.brightness)
         self._seeds = _sequences(seeds, len(poses), self._noisy or self.is_bright)
         self._rngs: dict[tuple[int, ...], np.random.Generator] = {}
