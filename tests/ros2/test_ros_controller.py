@@ -16,6 +16,8 @@ from triform.perception import occupancy_maps
 from triform.types import MapConfig, Scan, ScanConfig, View
 
 GRID = ScanConfig()
+#: Rays clockwise from the front on, as some LiDARs have them.
+ORDER = (GRID.rays // 2 - np.arange(GRID.rays)) % GRID.rays
 
 
 def scene(ahead: float = 1.4, beside: float = 0.7) -> np.ndarray:
@@ -30,7 +32,6 @@ def scan_message(ranges: np.ndarray, **changed: Any) -> Any:
     """A scan clockwise from the front on, as some LiDARs have it."""
     from sensor_msgs.msg import LaserScan
 
-    order = (GRID.rays // 2 - np.arange(GRID.rays)) % GRID.rays
     told = {
         "angle_min": 0.0,
         "angle_max": -(GRID.rays - 1) * GRID.angle_increment,
@@ -38,7 +39,7 @@ def scan_message(ranges: np.ndarray, **changed: Any) -> Any:
         "range_min": 0.02,
         "range_max": 12.0,
     }
-    return LaserScan(ranges=ranges[order].tolist(), **(told | changed))
+    return LaserScan(ranges=ranges[ORDER].tolist(), **(told | changed))
 
 
 class Robot:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.ros2.conftest import Ros
-from tests.ros2.test_ros_controller import Robot, expected, scan_message, scene, twist
+from tests.ros2.test_ros_controller import GRID, ORDER, Robot, expected, scan_message, scene, twist
 
 
 def set_parameter(ros: Ros, name: str, value: Any) -> Any:
@@ -155,6 +155,22 @@ def test_markers_show_neighbours_intention_command_and_what_the_filter_allows(ro
 
     assert set_parameter(ros, "publish_map", True).successful
     ros.until(lambda: bool(robot.send(good, 0.1)) and bool(maps), "the map")
+    # The robot beside wears no tape: no neighbour, and as near to the filter as before.
+    assert set_parameter(ros, "min_intensity", 100.0).successful
+    robot.send_until(good, moving=False)
+    assert "it says nothing about intensities" in controller.log
+    ahead = np.abs(GRID.angles) < 0.5
+    taped = scan_message(scene(), intensities=np.where(ahead, 200.0, 20.0)[ORDER].tolist())
+    robot.send_until(taped, moving=True)
+    shown.clear()
+    robot.send(taped, 0.5)
+    markers = {each.ns: each for each in shown[-1].markers}
+    (neighbour,) = markers["neighbours"].points
+    assert (neighbour.x, neighbour.y) == (pytest.approx(1.52, abs=0.05), pytest.approx(0.0, abs=0.05))
+    still = np.array([[each.x, each.y] for each in markers["allowed"].points])
+    np.testing.assert_allclose(still, allowed, atol=1e-6)
+    assert set_parameter(ros, "min_intensity", 0.0).successful
+
     assert set_parameter(ros, "guard", False).successful
     robot.send(good, 0.3)
     assert {each.ns for each in shown[-1].markers} == {"neighbours", "intended", "command"}

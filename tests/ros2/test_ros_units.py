@@ -60,8 +60,13 @@ def test_a_mounting_survives_its_transform_and_a_scan_its_message(
 
     config = get_profile("turtlebot4").from_lidar
     ranges = np.random.default_rng(3).uniform(0.5, 2.0, config.rays).astype(np.float32)
-    back = laser_scan(scan_message(ranges, config, mounting, 0.13, rolling=True)).mounted(found).on_grid(config)
-    np.testing.assert_array_equal(back, ranges)
+    for bright in (None, 100 * ranges):
+        back = laser_scan(scan_message(ranges, bright, config, mounting, 0.13, rolling=True)).mounted(found)
+        np.testing.assert_array_equal(back.on_grid(config), ranges)
+        levels = back.intensities_on_grid(config)
+        assert (levels is None) == (bright is None)
+        if bright is not None:
+            np.testing.assert_array_equal(levels, bright)
 
 
 @pytest.mark.parametrize("name", PROFILES)

@@ -122,7 +122,7 @@ def test_from_the_base_a_mounted_lidar_sees_what_one_at_the_centre_sees(x: float
     poses, active, arena = np.zeros((1, 1, 3)), np.ones((1, 1), bool), Arena(pillars=pillars)
     wide = replace(SCAN, range_max=2.0 + math.hypot(x, y))
     eye = cast_scans(poses, active, ROBOMASTER_EP, arena, wide, eye=(x, y))
-    seen = Placement(SCAN, Mounting(x, y)).from_base(eye)[0, 0]
+    seen = Placement(SCAN, Mounting(x, y)).from_base(eye)[0][0, 0]
     centre = cast_scans(poses, active, ROBOMASTER_EP, arena, SCAN)[0, 0]
     # Of a pillar the mounted LiDAR sees other ends of the near side, up to its parallax there.
     around = np.isfinite(centre)
@@ -165,4 +165,4 @@ def test_views_from_the_lidar_are_what_placement_makes_views_from_the_base_of(na
     measured, scans = raw.observe().scans, placed.observe().scans
     assert measured.config == profile.from_lidar
     placement = Placement(profile.lidar.scan, profile.mounting)
-    np.testing.assert_array_equal(placement.from_base(placement.masked(measured.ranges)), scans.ranges)
+    np.testing.assert_array_equal(placement.from_base(placement.masked(measured.ranges))[0], scans.ranges)

@@ -50,12 +50,13 @@ class Plan:
 
     @classmethod
     def of(cls, settings: Settings, before: Plan | None = None) -> Plan:
-        """Make what the settings want, with the controller of before if it is for the same distance.
+        """Make what the settings want, with the controller of before if nothing that it knows has changed.
 
         Raises:
             TriformError: The controller cannot be made.
         """
-        if before is not None and before.settings.given["distance"] == settings.given["distance"]:
+        known = ("distance", "min_intensity")
+        if before is not None and all(before.settings.given[name] == settings.given[name] for name in known):
             intended = before.intended
         else:
             intended = Intended(settings.make_controller())
@@ -129,15 +130,15 @@ class Controlled:
             TriformError: As ``run``.
         """
         settings, given = plan.settings, plan.settings.given
-        robot, size = settings.robot, settings.robot.footprint.size
+        robot = settings.robot
         if given["publish_map"]:
             self._maps.show(*settings.policy_map)
 
         def note(step: Step) -> None:
             self._diagnostics.note(step, real.standing)
             if given["publish_map"]:
-                self._maps.publish(step)
-            self._markers.publish(step, plan.intended.last, size, settings.filter if given["guard"] else None)
+                self._maps.publish(settings.seen(step.view))
+            self._markers.publish(step, plan.intended.last, settings)
 
         def checked(view: View, commands: FloatArray) -> None:  # noqa: ARG001
             check()

@@ -29,16 +29,23 @@ def laser_scan(message: LaserScanMessage) -> LaserScan:
         message.angle_increment,
         message.range_min,
         message.range_max,
+        np.array(message.intensities, dtype=np.float32),
     )
 
 
 def scan_message(
-    ranges: RangeArray, config: ScanConfig, mounting: Mounting, scan_time: float, rolling: bool
+    ranges: RangeArray,
+    intensities: RangeArray | None,
+    config: ScanConfig,
+    mounting: Mounting,
+    scan_time: float,
+    rolling: bool,
 ) -> LaserScanMessage:
     """Return the message of a full turn as a LiDAR's driver sends it, in the LiDAR's frame; stamp and frame are empty.
 
     Args:
         ranges: Ranges from the LiDAR, shape (R,) [m].
+        intensities: How bright the returns are, shape (R,); ``None`` if the LiDAR does not say.
         config: The directions of its rays in the base's frame, and limits of range.
         mounting: How the LiDAR is mounted.
         scan_time: Time of the turn [s].
@@ -53,7 +60,8 @@ def scan_message(
         scan_time=scan_time,
         range_min=config.range_min,
         range_max=config.range_max,
-        ranges=array.array("f", np.asarray(ranges, dtype=np.float32).tobytes()),
+        ranges=_floats(ranges),
+        intensities=_floats([] if intensities is None else intensities),
     )
 
 
@@ -110,6 +118,11 @@ def map_message(occupied: MapArray, config: MapConfig) -> OccupancyGrid:
     message.info.origin.position.x = message.info.origin.position.y = -config.half_extent
     message.data = array.array("b", (100 * occupied.T).astype(np.int8).tobytes())
     return message
+
+
+def _floats(values: RangeArray | list[float]) -> array.array[float]:
+    """Return values as a message takes them."""
+    return array.array("f", np.asarray(values, dtype=np.float32).tobytes())
 
 
 def seconds(stamp: Time) -> float:

@@ -80,7 +80,9 @@ class RobotTopics:
     def publish_scan(self, moment: Moment, robot: int, profile: Profile, stamp: Time) -> None:
         """Publish the newest scan of robot number ``robot``, whose first ray was measured at ``stamp``."""
         lidar = profile.lidar
-        message = scan_message(moment.ranges[robot], profile.from_lidar, profile.mounting, lidar.period, lidar.rolling)
+        bright = None if moment.intensities is None else moment.intensities[robot]
+        form = (profile.from_lidar, profile.mounting, lidar.period, lidar.rolling)
+        message = scan_message(moment.ranges[robot], bright, *form)
         message.header.stamp, message.header.frame_id = stamp, f"{self.name}/laser"
         self._scan.publish(message)
 

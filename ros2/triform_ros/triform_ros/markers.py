@@ -19,6 +19,7 @@ from triform.control.detection import detect_robots
 from triform.robots.real import Step
 from triform.simulation import integrate
 from triform.types import Controller, FloatArray, Scan, View
+from triform_ros.settings import Settings
 
 #: Directions in which the filter is asked what it allows.
 _DIRECTIONS = 36
@@ -114,29 +115,27 @@ class MarkerTopic:
         self._node, self._frame = node, frame
         self._publisher = node.create_publisher(MarkerArray, "markers", 1)
 
-    def publish(
-        self, step: Step, intended: FloatArray, footprint: tuple[float, float] | float, settings: SafetySettings | None
-    ) -> None:
+    def publish(self, step: Step, intended: FloatArray, settings: Settings) -> None:
         """Publish the markers of a control period, if anybody listens.
 
         Args:
             step: What was seen and sent.
             intended: What the controller wanted, shape (3,) [m/s, m/s, rad/s].
-            footprint: Length and width of the robots, or one diameter [m].
-            settings: Of the safety filter, if the robot has one.
+            settings: What the parameters say.
         """
         if self._publisher.get_subscription_count() == 0:
             return
+        footprint = settings.robot.footprint.size
         width = footprint if isinstance(footprint, float) else min(footprint)
         size, thin = Vector3(x=width, y=width, z=_HEIGHT), Vector3(x=0.02)
-        centres = neighbours(step.view, footprint)
+        centres = neighbours(settings.seen(step.view), footprint)
         shown = [
             self._marker("neighbours", Marker.SPHERE_LIST, centres, (0.1, 0.5, 1.0), size),
             self._marker("intended", Marker.LINE_STRIP, way_of(intended * [1, 1, 0]), (1.0, 0.7, 0.0), thin),
             self._marker("command", Marker.LINE_STRIP, way_of(step.command), (0.0, 0.9, 0.2), Vector3(x=0.04)),
         ]
-        if settings is not None:
-            border = allowed_velocities(step.view, settings)
+        if settings.given["guard"]:
+            border = allowed_velocities(step.view, settings.filter)
             shown.append(self._marker("allowed", Marker.LINE_STRIP, [*border, border[0]], (1.0, 0.2, 0.2), thin))
         self._publisher.publish(MarkerArray(markers=shown))
 

@@ -20,7 +20,6 @@ from triform.perception import MapRules, map_workspace, occupied_into
 from triform.robots.laser_scan import Turn
 from triform.robots.limits import limit_acceleration
 from triform.robots.odometry import Track
-from triform.robots.real import Step
 from triform.simulation import Drive, Mounting, Profile
 from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, TriformError, View
 from triform_ros.conversions import fill_twist, laser_scan, map_message, pose_of, seconds
@@ -65,7 +64,7 @@ class ScanTopic:
         """
         self._node, self._frame = node, frame
         self._scan, self._mounting = ScanConfig(), Mounting()
-        self._placed = False
+        self._placed = self._needs_intensities = False
         self.seen_frame: str | None = None
         self._turn: Turn | None = None
         self._told_coverage = False
@@ -86,10 +85,14 @@ class ScanTopic:
     def place(self, robot: Profile) -> None:
         """Say how the LiDAR is mounted, and how far and fine its scans are to be."""
         self._scan, self._mounting, self._placed = robot.from_lidar, robot.mounting, True
+        self._needs_intensities = robot.lidar.min_intensity is not None
 
     def latest(self) -> Turn | None:
         """Return the newest scan; ``None`` before the first one, and if it cannot be used."""
-        return self._turn
+        turn = self._turn
+        # One from before min_intensity was set may have none.
+        is_dark = turn is not None and turn.intensities is None
+        return None if is_dark and self._needs_intensities else turn
 
     def _take(self, message: LaserScanMessage) -> None:
         self.received += 1
@@ -113,12 +116,14 @@ class ScanTopic:
         turn = message.time_increment * (len(message.ranges) - 1)
         if not (math.isfinite(turn) and turn >= 0):
             raise TriformError(f"time_increment is {message.time_increment} s; it must be finite and not negative")
-        ranges = scan.on_grid(self._scan)
+        ranges, intensities = scan.on_grid(self._scan), scan.intensities_on_grid(self._scan)
+        if self._needs_intensities and intensities is None:
+            raise TriformError("it says nothing about intensities, which min_intensity needs")
         if scan.coverage < 0.99 and not self._told_coverage:
             self._told_coverage = True
             self._node.get_logger().info(f"scans cover {360 * scan.coverage:.0f} of 360 degrees; the rest is not seen")
         started = host_time(self._node, message.header.stamp)
-        return Turn(ranges, started, min(started + turn, time.monotonic()))
+        return Turn(ranges, started, min(started + turn, time.monotonic()), intensities)
 
     def _count_lost(self, lost: QoSMessageLostInfo) -> None:
         self.lost += lost.total_count_change
@@ -237,11 +242,11 @@ class MapTopic:
         self._workspace = map_workspace(config.size)
         self._publisher = self._publisher or self._node.create_publisher(OccupancyGrid, "map", 1)
 
-    def publish(self, step: Step) -> None:
-        """Publish the map of a control period, if anybody listens."""
+    def publish(self, view: View) -> None:
+        """Publish the map of what the policy sees, if anybody listens."""
         if self._publisher is None or self._publisher.get_subscription_count() == 0:
             return
-        message = map_message(self._occupied(step.view), self._config)
+        message = map_message(self._occupied(view), self._config)
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.header.frame_id = self._frame
         self._publisher.publish(message)

@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from triform.control import ControllerSpec, SafetySettings, make_controller, weights_folder
+from triform.control import (
+    ControllerSpec,
+    IntensityThreshold,
+    SafetySettings,
+    bright_returns,
+    make_controller,
+    weights_folder,
+)
 from triform.control.detection import kernel_footprint
 from triform.policy import read_spec
 from triform.robots.filter import safety_settings
@@ -53,6 +60,7 @@ def parameters(name: str) -> tuple[Parameter, ...]:
     size = [outline.length] if outline.is_circle else [outline.length, outline.width]
     sectors = " ".join(f"{begin:g}:{end:g}" for begin, end in mounting.blind_sectors)
     turn_rate = drive.max_turn_rate if drive.is_differential else _TURN_RATE
+    threshold = robot.lidar.min_intensity or 0.0
     yaw = math.remainder(mounting.yaw, math.tau)
     stamped = wants_stamped(os.environ.get("ROS_DISTRO"))
     return (
@@ -69,6 +77,7 @@ def parameters(name: str) -> tuple[Parameter, ...]:
         Parameter("upside_down", not mounting.upright, "Whether the LiDAR hangs upside down"),
         Parameter("tf_timeout", 5.0, "How long to wait for /tf_static to say how the LiDAR is mounted [s]", 0.0, 60.0),
         Parameter("blind_sectors", sectors, "Where only the robot itself is, as FROM:TO in degrees, with spaces"),
+        Parameter("min_intensity", threshold, "Intensity of a robot's tape; 0: not asked", 0.0, 1e6, live=True),
         Parameter("scan_frame", "", "Frame that scans must be in; empty for any"),
         Parameter("base_frame", "base_link", "The robot's own frame, in which commands, maps and markers are"),
         Parameter("use_odom", name != "" and robot.odometry, "Whether to use the odometry on odom"),
@@ -130,7 +139,7 @@ class Settings:
         return replace(
             profile,
             footprint=Footprint.circle(*outline) if len(outline) == 1 else Footprint.box(*outline),
-            lidar=replace(profile.lidar, scan=scan),
+            lidar=replace(profile.lidar, scan=scan, min_intensity=given["min_intensity"] or None),
             drive=drive,
             control_period=1 / given["control_rate"],
             odometry=given["use_odom"],
@@ -181,7 +190,13 @@ class Settings:
                 f"the controller {name!r} needs everybody's true pose, which no robot knows; "
                 "policy, scan-pipeline and scan-triangulating need nothing but scans"
             )
-        return controller
+        threshold = self.robot.lidar.min_intensity
+        return controller if threshold is None else IntensityThreshold(controller, threshold)
+
+    def seen(self, view: View) -> View:
+        """Return what the controller sees of a view: with ``min_intensity``, no dim returns."""
+        threshold = self.robot.lidar.min_intensity
+        return view if threshold is None else replace(view, scans=bright_returns(view.scans, threshold))
 
 
 def _mounting(given: Mapping[str, Any]) -> Mounting:

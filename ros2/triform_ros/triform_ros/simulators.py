@@ -21,6 +21,7 @@ class Moment:
         poses: True poses, shape (N, 3) [m, m, rad].
         twists: Body twists, shape (N, 3) [m/s, m/s, rad/s].
         ranges: What every LiDAR, from where it is mounted, has measured in its newest turn, shape (N, R) [m].
+        intensities: How bright these returns are, shape (N, R); ``None`` if nobody needs to know.
         began: When that turn began [s]; of a LiDAR that measures all rays at once, when it ended.
         collided: Whether two robots have touched or overlapped, in this period or so far.
     """
@@ -29,6 +30,7 @@ class Moment:
     poses: FloatArray
     twists: FloatArray
     ranges: RangeArray
+    intensities: RangeArray | None
     began: float
     collided: bool
 
@@ -48,9 +50,9 @@ class WorldSimulator:
         view = world.observe()
         ended = math.floor((world.time - world.profile.latency) / lidar.period + 1e-6) * lidar.period
         began = ended - lidar.period * lidar.rolling
-        return Moment(
-            world.time, view.poses[0], world.velocities[0], view.scans.ranges[0], began, bool(world.collided[0])
-        )
+        scans, collided = view.scans, bool(world.collided[0])
+        bright = None if scans.intensities is None else scans.intensities[0]
+        return Moment(world.time, view.poses[0], world.velocities[0], scans.ranges[0], bright, began, collided)
 
     def close(self) -> None:
         """There is nothing to end."""
@@ -68,9 +70,9 @@ class GazeboSimulator:
         profile.require_holonomic("Gazebo")
         in_step = profile.lidar.period == profile.control_period and not profile.lidar.rolling
         require(
-            in_step and profile.mounting == Mounting(),
-            f"the profile {profile.name!r} has a LiDAR off the centre, or one out of step with the commands, which "
-            "the bridge to Gazebo does not simulate; simulator:=world does",
+            in_step and profile.mounting == Mounting() and profile.lidar.min_intensity is None,
+            f"the profile {profile.name!r} has a LiDAR off the centre, out of step with the commands, or with a "
+            "min_intensity, which the bridge to Gazebo does not simulate; simulator:=world does",
         )
         self._server = GazeboServer(profile, arena, len(poses), time_step=profile.time_step)
         self._steps = round(profile.control_period / profile.time_step)
@@ -84,7 +86,7 @@ class GazeboSimulator:
         """
         state = self._server.step(commands, self._steps)
         assert state.ranges is not None
-        return Moment(state.time, state.poses, state.twists, state.ranges, state.time, state.touched)
+        return Moment(state.time, state.poses, state.twists, state.ranges, None, state.time, state.touched)
 
     def close(self) -> None:
         """End Gazebo."""

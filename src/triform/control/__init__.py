@@ -2,6 +2,7 @@
 
 from triform.control.expert import EXPERTS, Expert, ExpertVariant, Springs, expert_into, expert_variant
 from triform.control.gnn import GnnController
+from triform.control.intensity import IntensityThreshold, bright_returns
 from triform.control.learned import LearnedPolicy
 from triform.control.loop import control_steps, drive
 from triform.control.registry import (
@@ -26,6 +27,7 @@ __all__ = [
     "Expert",
     "ExpertVariant",
     "GnnController",
+    "IntensityThreshold",
     "LearnedPolicy",
     "SafetyFilter",
     "SafetySettings",
@@ -35,6 +37,7 @@ __all__ = [
     "Teacher",
     "Triangulating",
     "TriangulatingLaw",
+    "bright_returns",
     "control_steps",
     "drive",
     "expert_into",

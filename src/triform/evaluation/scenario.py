@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from triform.control import ControllerSpec, SafetyFilter, control_steps, make_controller
+from triform.control import ControllerSpec, IntensityThreshold, SafetyFilter, control_steps, make_controller
 from triform.evaluation.events import Event, EventRun, run_event
 from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
@@ -115,6 +115,11 @@ class Scenario:
         if self.simulator == "gazebo":
             robot.require_holonomic("Gazebo")
         check_base(self.base, robot)
+        require(
+            self.simulator != "gazebo" or robot.lidar.min_intensity is None,
+            f"min_intensity is {robot.lidar.min_intensity}, but Gazebo's LiDARs say nothing of materials; it goes with "
+            "simulator builtin or mujoco",
+        )
         object.__setattr__(self, "_robot", robot)
         object.__setattr__(self, "_arena", get_arena(self.arena))
 
@@ -143,6 +148,8 @@ class Scenario:
     def make_controller(self, controller: Controller[Any] | str | ControllerSpec = "policy") -> Controller[Any]:
         """Make a controller for these robots, behind the safety filter unless ``guard`` is off.
 
+        With a ``min_intensity`` it does not see what is dimmer; the filter does.
+
         Args:
             controller: The name of one, or one without its filter; one that has a filter already stays as it is.
 
@@ -151,7 +158,12 @@ class Scenario:
         """
         if isinstance(controller, str | ControllerSpec):
             controller = make_controller(controller, self.distance, footprint=self.robot.footprint.size)
-        if not self.guard or isinstance(controller, SafetyFilter):
+        if isinstance(controller, SafetyFilter):
+            return controller
+        threshold = self.robot.lidar.min_intensity
+        if threshold is not None and not isinstance(controller, IntensityThreshold):
+            controller = IntensityThreshold(controller, threshold)
+        if not self.guard:
             return controller
         return SafetyFilter(controller, safety_settings(replace(self.robot, drive=self.drive_limits)))
 

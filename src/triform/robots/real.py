@@ -163,6 +163,7 @@ class RealRobot:
         self._turn: Turn | None = None
         self._view: View | None = None
         self._ranges: RangeArray = np.full(self._placement.scan.rays, np.inf, np.float32)
+        self._intensities: RangeArray | None = None
         self.standing = _NO_SCAN
         self._warned = False
         self._shows_itself = False
@@ -186,10 +187,11 @@ class RealRobot:
         ranges = self._ranges
         if turn is None or old:
             ranges = np.full_like(ranges, np.nan if old else np.inf)
+        bright = self._intensities
         heading = np.zeros((1, 1)) if resting is None else resting[..., 2]
         moved = None if then is None or resting is None else relative_poses(resting, then, _ONE)
         self._view = View(
-            scans=Scan(ranges[None, None], self._placement.scan),
+            scans=Scan(ranges[None, None], self._placement.scan, None if bright is None else bright[None, None]),
             active=_ONE,
             time=now - self._started,
             noise=noise_in_body(self._keys, self._limits, now - self._started, heading),
@@ -261,7 +263,7 @@ class RealRobot:
             )
         self._shows_itself |= bool(own.any())
         self._sight.note(has_sight(masked, placement.looks))
-        self._ranges = placement.from_base(masked)
+        self._ranges, self._intensities = placement.from_base(masked, turn.intensities)
 
     def _poses(self, turn: Turn, now: float) -> tuple[FloatArray | None, FloatArray | None]:
         """Poses in the middle of a turn and at rest after now, shape (1, 1, 3).

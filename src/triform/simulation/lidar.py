@@ -5,18 +5,21 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
 from triform.simulation.arena import Arena
 from triform.simulation.cast_kernels import cast_cells, cast_world, cast_worlds, sort_poses
-from triform.simulation.moving_ray_kernels import cast_moving_worlds
+from triform.simulation.moving_ray_kernels import HIT_NOTHING, cast_moving_worlds
 from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
 from triform.simulation.ray_kernels import ScanRays, Scene
 from triform.threads import in_parts, usable_threads
 from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, as_array
 
 __all__ = ["angle_offsets", "apply_noise", "cast_rolling", "cast_scans", "cast_world", "noise_sigma", "scan_rays"]
+
+#: What rays hit, see ``cast_moving``.
+HitArray = NDArray[np.int32]
 
 #: Rays that keep a thread busy for about 2 ms.
 RAYS_PER_THREAD = 1_000_000
@@ -52,6 +55,7 @@ def cast_scans(
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
     eye: tuple[float, float] = (0.0, 0.0),
+    hits: HitArray | None = None,
 ) -> RangeArray:
     """Return what every robot's LiDAR would measure at one instant, without range noise.
 
@@ -64,6 +68,7 @@ def cast_scans(
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
         dtype: Floating type of the ranges.
         eye: Where the LiDAR is on each robot, forward and left of its centre [m].
+        hits: Gets what every ray hits, int32, shape (B, N, R), see ``cast_moving``; rays are then cast one by one.
 
     Returns:
         Ranges, shape (B, N, R) [m]: ``+inf`` beyond ``range_max``, ``-inf`` below ``range_min`` and throughout for
@@ -72,8 +77,8 @@ def cast_scans(
     Raises:
         ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
-    if offsets is not None:
-        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye)
+    if offsets is not None or hits is not None:
+        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye, hits)
     places, mask = _checked_batch(poses, active)
     worlds, robots = mask.shape
     ranges = np.empty((worlds, robots, config.rays), dtype)
@@ -111,6 +116,7 @@ def cast_rolling(
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
     eye: tuple[float, float] = (0.0, 0.0),
+    hits: HitArray | None = None,
 ) -> RangeArray:
     """Return a turn in which ray k is measured at the share k / R of the way from ``start`` to ``end``.
 
@@ -126,6 +132,7 @@ def cast_rolling(
         offsets: Errors of the rays' angles, shape (B, N, R) [rad].
         dtype: Floating type of the ranges.
         eye: Where the LiDAR is on each robot, forward and left of its centre [m].
+        hits: Gets what every ray hits, int32, shape (B, N, R), see ``cast_moving``.
 
     Returns:
         Ranges, shape (B, N, R) [m], as ``cast_scans``.
@@ -143,8 +150,12 @@ def cast_rolling(
     ranges = np.full(shape, np.inf, dtype)
     share_step = 0.0 if start is end else 1.0 / config.rays
     scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
+    found = np.empty((*shape[:2], 0), np.int32) if hits is None else hits
+    found[...] = HIT_NOTHING
     in_parts(
-        lambda first, last: cast_moving_worlds(start, end, mask, scene, rays, errors, share_step, ranges, first, last),
+        lambda first, last: cast_moving_worlds(
+            start, end, mask, scene, rays, errors, share_step, ranges, found, first, last
+        ),
         len(ranges), ranges.size, MOVING_RAYS_PER_THREAD,
     )  # fmt: skip
     return ranges

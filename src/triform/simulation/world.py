@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from triform.simulation.arena import Arena, get_arena
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
-from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, scan_rays
+from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, HitArray, cast_scans, scan_rays
 from triform.simulation.profiles import Profile
 from triform.simulation.ray_kernels import Scene
 from triform.simulation.sensors import SensorSuite, padded
@@ -99,10 +99,11 @@ class World:
         self._collided = np.zeros(worlds, dtype=np.bool_)
         self._hit_arena = np.zeros(worlds, dtype=np.bool_)
         self._time = 0.0
-        self._senses = SensorSuite(profile, self._poses, self._active, seeds, from_lidar)
+        self._senses = SensorSuite(profile, self._poses, self._active, seeds, self._arena, from_lidar)
         self._record()
         if not profile.lidar.rolling:
-            self._senses.finish(self._snapshot(), self._poses, self._active)
+            ranges, hits = self._snapshot()
+            self._senses.finish(ranges, self._poses, self._active, hits)
 
     @property
     def profile(self) -> Profile:
@@ -176,8 +177,8 @@ class World:
             self._advance(targets, stop - self._time, turn_ends)
             self._time = stop
             if turn_ends:
-                ranges = None if self._profile.lidar.rolling else self._snapshot()
-                self._senses.end_turn(ranges, self._poses, self._active)
+                ranges, hits = (None, None) if self._profile.lidar.rolling else self._snapshot()
+                self._senses.end_turn(ranges, self._poses, self._active, hits)
         self._time = end
 
     def add_robot(self, world: int, pose: ArrayLike) -> int:
@@ -264,15 +265,18 @@ class World:
         motion = Motion(self._poses, self._velocities, targets, self._active, drive_limits(self._profile.drive), step)
         ray_period = lidar.period / lidar.scan.rays
         rays_of_turn = scan_rays(self._profile.from_lidar, self._profile.mounting.x, self._profile.mounting.y)
-        turn = LidarTurn(bounds, elapsed, ray_period, rays_of_turn, self._senses.offsets, self._senses.ranges)
+        senses = self._senses
+        turn = LidarTurn(bounds, elapsed, ray_period, rays_of_turn, senses.offsets, senses.ranges, senses.hits)
         advance = partial(advance_worlds, motion, self._scene, self._contacts, turn)
         in_parts(advance, len(self._active), rays, MOVING_RAYS_PER_THREAD)
 
-    def _snapshot(self) -> RangeArray:
-        """All rays at this moment, without range noise."""
+    def _snapshot(self) -> tuple[RangeArray, HitArray | None]:
+        """All rays at this moment, without range noise, and what they hit if intensities are asked for."""
         profile, mounting = self._profile, self._profile.mounting
         scene = (profile.footprint, self._arena, profile.from_lidar, self._senses.draw_offsets(self._active))
-        return cast_scans(self._poses, self._active, *scene, np.float32, (mounting.x, mounting.y))
+        hits = self._senses.no_hits(self._active)
+        eye = (mounting.x, mounting.y)
+        return cast_scans(self._poses, self._active, *scene, np.float32, eye, hits), hits
 
     def _grow(self) -> None:
         """Append one place to axis N of everything."""

@@ -60,6 +60,7 @@ class LidarTurn(NamedTuple):
         scan: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, N, R) [rad], or (B, N, 0) for none.
         ranges: The turn, shape (B, N, R) [m].
+        hits: What its rays hit, see ``cast_moving``, shape (B, N, R), or (B, N, 0) if nobody asks.
     """
 
     ray_bounds: Any
@@ -68,6 +69,7 @@ class LidarTurn(NamedTuple):
     scan: ScanRays
     offsets: Any
     ranges: Any
+    hits: Any
 
 
 @kernel
@@ -141,7 +143,8 @@ def _advance_world(b: int, motion: Any, scene: Any, contacts: Any, turn: Any) ->
         if ray_bounds[s + 1] > ray_bounds[s]:
             first_share = (ray_bounds[s] * turn.ray_period - (turn.elapsed + s * step)) / step
             due = DueRays(ray_bounds[s], ray_bounds[s + 1], first_share, turn.ray_period / step)
-            cast_moving(before, poses, active, near, scene, turn.scan, turn.offsets[b], due, turn.ranges[b])
+            measured = turn.ranges[b], turn.hits[b]
+            cast_moving(before, poses, active, near, scene, turn.scan, turn.offsets[b], due, *measured)
     contacts.min_distance[b], contacts.collided[b], contacts.hit_arena[b] = min_distance, collided, hit_arena
 
 
