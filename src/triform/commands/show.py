@@ -32,11 +32,11 @@ def beyond_training(robot: Profile) -> list[str]:
     smallest, largest = _TRAINED_SIZES
     noise = float(noise_sigma(np.ones(1), lidar.noise)[0])
     found = {
-        "another base": robot.drive.is_differential,
-        "another size": not (smallest <= min(length, width) and max(length, width) <= largest),
-        "fewer rays": lidar.scan.rays < _TRAINED_RAYS,
-        "more noise": noise > _TRAINED_NOISE,
-        "no odometry": not robot.odometry,
+        "base": robot.drive.is_differential,
+        "size": not (smallest <= min(length, width) and max(length, width) <= largest),
+        "rays": lidar.scan.rays < _TRAINED_RAYS,
+        "noise": noise > _TRAINED_NOISE,
+        "odometry": not robot.odometry,
     }
     return [words for words, differs in found.items() if differs]
 
@@ -85,25 +85,15 @@ class Show:
                     name,
                     robot.footprint.label,
                     str(robot.lidar.scan.rays),
-                    f"{1 / robot.lidar.period:.3g}",
                     robot.drive.kind,
                     f"{min(robot.drive.max_speed, robot.drive.max_axis_speed):g}",
-                    f"{robot.latency:g}",
-                    ", ".join(beyond_training(robot)) or "as trained",
+                    ", ".join(beyond_training(robot)) or "-",
                 ]
                 for name, robot in PROFILES.items()
             ]
-            headings = [
-                "profile",
-                "footprint [m]",
-                "rays",
-                "turns [Hz]",
-                "base",
-                "speed [m/s]",
-                "latency [s]",
-                "policy",
-            ]
-            terminal.table("robot profiles", headings, rows)
+            headings = ["profile", "footprint", "rays", "base", "m/s", "new"]
+            note = "m/s: largest speed; new: what the shipped policy was not trained for"
+            terminal.table("robot profiles", headings, rows, note)
         elif self.what == "arena":
             rows = [[name, str(len(arena.walls)), str(len(arena.pillars))] for name, arena in ARENAS.items()]
             terminal.table("arenas", ["arena", "walls", "circles"], rows)
