@@ -18,6 +18,8 @@ from triform.types import NOISE_PERIOD, FloatArray
 
 #: Speed of a base from which exploration noise has its full size [m/s].
 _FULL_NOISE_SPEED = 0.5
+#: Share of its full size that exploration noise has for differential bases.
+_ROLLING_NOISE = 0.7
 #: Moments closer than this are the same moment [s].
 _SAME_TIME = 1e-9
 
@@ -52,11 +54,12 @@ def noise_scale(drive: Drive) -> float:
     """Share of its full size that exploration noise has for robots with this base.
 
     That of a slow base is smaller in proportion, because what is cut to one speed, noise and command alike, would be
-    hardly anything but noise. That of a differential base lasts longer, and is smaller in proportion: so robots come as
-    far by it.
+    hardly anything but noise. A differential base spends most of the time that a noise lasts on turning to it, so there
+    it has one size at all speeds.
     """
-    share = min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_NOISE_SPEED)
-    return share * NOISE_PERIOD / noise_period(drive) if drive.is_differential else share
+    if drive.is_differential:
+        return _ROLLING_NOISE
+    return min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_NOISE_SPEED)
 
 
 def noise_period(drive: Drive) -> float:
