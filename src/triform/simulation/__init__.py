@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from triform.simulation.arena import ARENAS, Arena, get_arena
 from triform.simulation.arena_file import arena_toml
+from triform.simulation.composition import Composition
 from triform.simulation.kinematics import integrate, limit_twists, steer
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
 from triform.simulation.mounting import Mounting, Placement, read_sectors
@@ -34,6 +35,7 @@ __all__ = [
     "PROFILES",
     "ROBOMASTER_EP",
     "Arena",
+    "Composition",
     "Drive",
     "Footprint",
     "LidarConfig",
