@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from triform.evaluation.scenario import GAZEBO_STEPS
-from triform.simulation import IDEAL, SimulatedTeam, get_arena
+from triform.simulation import IDEAL, SimulatedTeam, get_arena, get_profile
 from triform.simulators.chassis import BASES, Base
 from triform.simulators.gazebo import GazeboServer, GazeboTeam, find_gazebo
 from triform.simulators.mujoco import MujocoTeam
@@ -29,12 +30,14 @@ SIZES = (5, 9, 13)
 #: Simulated time of one measurement [s].
 DURATION = 5.0
 ARENA = get_arena("room-6")
+#: The ideal robots, on a differential base with the drive of a TurtleBot 4.
+ROLLING = replace(IDEAL, drive=get_profile("turtlebot4").drive)
 
 
 @contextmanager
 def mujoco(poses: FloatArray, base: Base) -> Iterator[SimulatedTeam]:
     """Place a team in MuJoCo."""
-    yield MujocoTeam(poses, IDEAL, ARENA, base=base)
+    yield MujocoTeam(poses, ROLLING if base == "differential" else IDEAL, ARENA, base=base)
 
 
 @contextmanager
@@ -68,13 +71,13 @@ def speed(place: Place, base: Base, robots: int, worlds: int) -> float:
 
 def main() -> None:
     """Print the table."""
-    rows: list[tuple[str, Place, int]] = [("MuJoCo", mujoco, 1), ("MuJoCo", mujoco, 10)]
+    rows: list[tuple[str, Place, int, Collection[Base]]] = [("MuJoCo", mujoco, each, BASES) for each in (1, 10)]
     if find_gazebo() is not None:
-        rows.append(("Gazebo 11", gazebo, 1))
+        rows.append(("Gazebo 11", gazebo, 1, GAZEBO_STEPS))
     sizes = " | ".join(f"{robots} robots" for robots in SIZES)
     print(f"| | base | teams at once | {sizes} |\n|---|---|---|{'---|' * len(SIZES)}")
-    for name, place, worlds in rows:
-        for base in BASES:
+    for name, place, worlds, bases in rows:
+        for base in bases:
             speed(place, base, 2, worlds)
             speeds = [f"{speed(place, base, robots, worlds):.3g}" for robots in SIZES]
             print(f"| {name} | {base} | {worlds} | {' | '.join(speeds)} |", flush=True)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.fuzz.trials import campaign, options
+from tests.simulators.bases import on_base
 from tests.simulators.walls import with_thick_walls
 from triform.simulation import IDEAL, Arena, Footprint, World, cast_scans
 from triform.simulation.profiles import Profile
@@ -65,11 +66,11 @@ def scans(rng: np.random.Generator) -> str:
 def runs(rng: np.random.Generator) -> str:
     """Drive a random team without any care, alone and beside another, while robots come and go."""
     arena, base, robots = draw_arena(rng), BASES[rng.integers(len(BASES))], int(rng.integers(2, 7))
-    start = draw_poses(rng, robots, IDEAL, arena)
+    profile, start = on_base(IDEAL, base), draw_poses(rng, robots, IDEAL, arena)
     newcomer = np.array([6.0, 6.0, 0.0])
     duration = 0.1 if base == "mecanum" else 0.5
-    alone = MujocoTeam(start, IDEAL, arena, base=base)
-    beside = MujocoTeam(np.concatenate([draw_poses(rng, robots, IDEAL, arena), start]), IDEAL, arena, base=base)
+    alone = MujocoTeam(start, profile, arena, base=base)
+    beside = MujocoTeam(np.concatenate([draw_poses(rng, robots, IDEAL, arena), start]), profile, arena, base=base)
     for step in range(6):
         if step == 2:
             leaving = int(rng.integers(robots))

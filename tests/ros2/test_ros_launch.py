@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import pytest
 import yaml
@@ -19,7 +20,12 @@ STAND_INS: dict[str, dict[str, Any]] = {
     "launch.actions": {
         "DeclareLaunchArgument": lambda name, default_value, description: (name, default_value),
         "OpaqueFunction": lambda function: function,
+        "IncludeLaunchDescription": lambda source, launch_arguments: SimpleNamespace(
+            source=source, arguments=dict(launch_arguments)
+        ),
+        "LogInfo": lambda msg: msg,
     },
+    "launch.launch_description_sources": {"PythonLaunchDescriptionSource": Path},
     "launch.substitutions": {"LaunchConfiguration": lambda name: SimpleNamespace(name=name, perform=lambda c: c[name])},
     "launch_ros": {},
     "launch_ros.actions": {"Node": lambda **options: SimpleNamespace(**options)},
@@ -67,3 +73,29 @@ def test_a_team_is_a_bridge_and_a_controller_for_each_of_its_robots(launched: An
     assert bridge.parameters == [{"simulator": "gazebo", "robots": 3, "seed": 7}]
     assert [each.namespace for each in controllers] == ["robot0", "robot1", "robot2"]
     assert {(each.package, each.executable) for each in controllers} == {("triform_ros", "controller")}
+
+
+@pytest.mark.parametrize(("profile", "gui"), [("turtlebot4", "false"), ("ideal", "true")])
+def test_a_team_in_modern_gazebo_is_a_world_a_bridge_and_controllers(
+    launched: Any, profile: str, gui: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    arguments, (team,) = launched("gz_team.launch.py")
+    note, gazebo, bridge, *controllers = team(arguments | {"robots": "3", "profile": profile, "gui": gui})
+    (folder,) = tmp_path.iterdir()
+    assert note.endswith(str(folder))
+    assert gazebo.source.parts[-3:] == ("ros_gz_sim", "launch", "gz_sim.launch.py")
+    *options, world = gazebo.arguments["gz_args"].split()
+    assert options == (["-r"] if gui == "true" else ["-r", "-s", "--headless-rendering"])
+    models = [each.get("name") for each in ET.parse(world).iter("model")]
+    assert models == ["ground", "robot0", "robot1", "robot2"]
+    assert (bridge.package, bridge.executable) == ("ros_gz_bridge", "parameter_bridge")
+    topics = [each["ros_topic_name"] for each in yaml.safe_load(Path(bridge.parameters[0]["config_file"]).read_text())]
+    assert [each.namespace for each in controllers] == ["robot0", "robot1", "robot2"]
+    assert topics == ["/clock"] + [f"/robot{k}/{name}" for k in range(3) for name in ("scan", "odom", "cmd_vel")]
+    (settings,) = controllers[0].parameters
+    assert settings["profile"] == profile
+    # The bridge's commands are stamped, and its stamps are of simulated time.
+    assert settings["stamped"]
+    assert settings["use_sim_time"]
+    assert settings["lidar_position"] == ([-0.04, 0.0] if profile == "turtlebot4" else [0.0, 0.0])

@@ -104,7 +104,6 @@ def test_shipped_profiles_are_those_of_their_sources() -> None:
 def test_differential_bases_are_refused_where_nothing_drives_them() -> None:
     for make in (
         lambda: Scenario(profile="turtlebot4", simulator="gazebo"),
-        lambda: Scenario(profile="turtlebot4", simulator="mujoco", base="mecanum"),
         lambda: DriveConfig(profile="turtlebot4"),
         lambda: EmulateConfig(profile="turtlebot3-burger"),
     ):

@@ -18,6 +18,7 @@ from triform.simulation import (
     cast_rolling,
     cast_scans,
     get_arena,
+    get_profile,
     integrate,
     sample_starts,
 )
@@ -62,7 +63,11 @@ def all_threads(monkeypatch: pytest.MonkeyPatch) -> int:
     return usable_threads()
 
 
-@pytest.mark.parametrize("profile", [IDEAL, NOISY, NOISY_INSTANT], ids=["ideal", "rolling", "instant"])
+@pytest.mark.parametrize(
+    "profile",
+    [IDEAL, NOISY, NOISY_INSTANT, get_profile("turtlebot4")],
+    ids=["ideal", "rolling", "instant", "differential"],
+)
 def test_runs_do_not_depend_on_threads_or_batch(profile: Profile, all_threads: int) -> None:
     poses, commands = sample_starts(5, 6, 11), _commands(6, 5)
     arena = get_arena("pillars")

@@ -8,7 +8,7 @@ import pytest
 from triform.simulators.gazebo import Installation, find_gazebo
 
 #: The extra ``test``, for other versions of Python, comes without MuJoCo.
-collect_ignore = [] if find_spec("mujoco") else ["test_mujoco_team.py"]
+collect_ignore = [] if find_spec("mujoco") else ["test_mujoco_differential.py", "test_mujoco_team.py"]
 
 
 @pytest.fixture(scope="session")

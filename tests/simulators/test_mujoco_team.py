@@ -13,6 +13,7 @@ from shapely.geometry import Point, box
 
 from tests.fuzz import mujoco_worlds
 from tests.options import options
+from tests.simulators.bases import on_base
 from triform.cli import main
 from triform.control import drive, make_controller
 from triform.evaluation.events import Event
@@ -49,16 +50,17 @@ def close(first, second, tolerance=1e-5):
 
 
 def alone(pose=(0.0, 0.0, 0.0), profile=IDEAL, base="planar", arena=None):
-    return MujocoTeam([[pose]], profile, arena, base=base)
+    return MujocoTeam([[pose]], on_base(profile, base), arena, base=base)
 
 
 @each_base
 def test_a_first_view_is_that_of_the_built_in_world(base):
-    seen = MujocoTeam(STARTS, IDEAL, seeds=SEEDS, base=base).observe()
-    expected = World(STARTS, IDEAL, seeds=SEEDS).observe()
+    profile = on_base(IDEAL, base)
+    seen = MujocoTeam(STARTS, profile, seeds=SEEDS, base=base).observe()
+    expected = World(STARTS, profile, seeds=SEEDS).observe()
     assert close(seen.scans.ranges, expected.scans.ranges)
     np.testing.assert_allclose(seen.poses, expected.poses, atol=1e-9)
-    np.testing.assert_array_equal(seen.noise, expected.noise)
+    np.testing.assert_allclose(seen.noise, expected.noise, atol=1e-12)
     np.testing.assert_allclose(seen.odometry, 0.0, atol=1e-9)
     assert seen.active.all()
     assert seen.time == 0.0
@@ -80,7 +82,7 @@ def test_contacts_with_a_pillar_are_as_deep_as_the_outlines_overlap(radius, bear
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(
-        write_model(IDEAL.footprint, Arena("pillar", np.empty((0, 4)), np.array([[0.0, 0.0, radius]])), 1, "planar")
+        write_model(IDEAL, Arena("pillar", np.empty((0, 4)), np.array([[0.0, 0.0, radius]])), 1, "planar")
     )
     data = mujoco.MjData(model)
     half_length, half_width = IDEAL.footprint.half_length, IDEAL.footprint.half_width
@@ -117,7 +119,8 @@ def test_what_is_nearer_than_range_min_is_too_near():
 @each_base
 def test_rolling_turns_errors_and_latency_are_those_of_the_built_in_world(base, angle_noise, mounting):
     """Robots at rest measure the same, so every error that is drawn must fall on the same ray."""
-    profile = replace(HARDWARE, lidar=replace(HARDWARE.lidar, angle_noise=angle_noise), mounting=mounting)
+    lidar = replace(HARDWARE.lidar, angle_noise=angle_noise)
+    profile = on_base(replace(HARDWARE, lidar=lidar, mounting=mounting), base)
     still = np.zeros((WORLDS, ROBOTS, 3))
     team, world = MujocoTeam(STARTS, profile, seeds=SEEDS, base=base), World(STARTS, profile, seeds=SEEDS)
     for _ in range(6):
@@ -165,7 +168,7 @@ def test_the_planar_base_moves_as_the_built_in_world(lag):
     assert team.time == pytest.approx(2.0)
 
 
-@each_base
+@pytest.mark.parametrize("base", ["planar", "mecanum"])
 def test_commands_are_limited_as_in_the_built_in_world(base):
     team = alone(profile=replace(HARDWARE, lidar=IDEAL.lidar), base=base)
     team.apply(np.array([[[3.0, 0.05, 0.0]]]), 2.0)
@@ -174,9 +177,10 @@ def test_commands_are_limited_as_in_the_built_in_world(base):
 
 @each_base
 def test_robots_move_like_those_of_the_built_in_world(base):
-    limited = replace(IDEAL, drive=braked(IDEAL.drive))
+    robots = on_base(IDEAL, base)
+    limited = replace(robots, drive=braked(robots.drive))
     controller = make_controller("triangulating")
-    duration, tolerance = (3.0, 0.05) if base == "planar" else (1.5, 0.1)
+    duration, tolerance = (1.5, 0.1) if base == "mecanum" else (3.0, 0.05)
     team, world = MujocoTeam(STARTS[:1], limited, base=base), World(STARTS[:1], limited)
     drive(team, controller, duration)
     drive(world, controller, duration)
@@ -228,7 +232,7 @@ def test_bodies_are_solid_and_contacts_are_seen_at_every_step(base):
     # Two robots of one world, three of another, of which one is before a wall.
     room = Arena(walls=np.array([[-2.0, 1.0, 2.0, 1.0]]))
     poses = np.array([[[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]], [[0.0, 0.0, 0.0], [1.2, 0.6, np.pi / 2]]])
-    team = MujocoTeam(poses, IDEAL, room, base=base)
+    team = MujocoTeam(poses, on_base(IDEAL, base), room, base=base)
     commands = np.zeros((2, 2, 3))
     np.testing.assert_allclose(team.min_distance, [0.7, np.hypot(1.2, 0.6)])
     commands[0, 0, 0] = commands[1, 1, 0] = 0.5
@@ -251,7 +255,7 @@ def test_bodies_are_solid_and_contacts_are_seen_at_every_step(base):
 @each_base
 def test_robots_come_and_go(base):
     start = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]] * 2)
-    team = MujocoTeam(start, IDEAL, seeds=SEEDS, base=base)
+    team = MujocoTeam(start, on_base(IDEAL, base), seeds=SEEDS, base=base)
     moving = np.tile([0.1, 0.0, 0.0], (2, 2, 1))
     team.apply(moving, 0.3)
     before, speed = team.poses, team.velocities
@@ -291,7 +295,7 @@ def test_a_world_is_the_same_to_the_bit_whatever_the_batch_and_the_threads(base)
 
     def run(poses, threads):
         with limit_threads(threads):
-            team = MujocoTeam(poses, IDEAL, room, base=base)
+            team = MujocoTeam(poses, on_base(IDEAL, base), room, base=base)
             found = []
             for _ in range(8):
                 team.apply(np.tile(commands, (len(poses), 1, 1)), 0.1)
@@ -346,7 +350,8 @@ def test_wrong_use_is_refused_in_a_sentence():
 @each_base
 def test_an_evaluation_is_the_same_each_time_and_forms_teams(base):
     runs, duration = (3, 12.0) if base == "planar" else (2, 6.0)
-    given = {"duration": duration, "simulator": "mujoco", "base": base, "threads": 2}
+    profile = "turtlebot4" if base == "differential" else "ideal"
+    given = {"profile": profile, "duration": duration, "simulator": "mujoco", "base": base, "threads": 2}
     config = options(EvaluateConfig, robots=(4,), runs=runs, **given)
     first, second = evaluate(config), evaluate(config)
     for name, column in first.runs.items():

@@ -40,7 +40,7 @@ from triform.simulation import (
     sample_starts,
     world_seeds,
 )
-from triform.simulators.chassis import BASES, Base, braked
+from triform.simulators.chassis import BASES, Base, braked, check_base
 from triform.simulators.gazebo import GazeboServer, GazeboTeam
 from triform.types import (
     SENSING_RANGE,
@@ -74,8 +74,9 @@ class Scenario:
         guard: Whether the safety filter between controller and wheels keeps robots from driving into what their scans
             show; it belongs to the scenario, whoever steers.
         simulator: Simulator of the robots' bodies: builtin, or with mass and contacts mujoco, or gazebo for Gazebo 11.
-        base: How MuJoCo and Gazebo move a robot: by a force in the plane (planar), or on four mecanum wheels (mecanum),
-            whose physics takes small steps and much longer.
+        base: How MuJoCo and Gazebo move a robot: by a force in the plane (planar), or on its wheels, whose physics
+            takes longer: four mecanum wheels of a holonomic robot (mecanum), or in MuJoCo two driven wheels and casters
+            of a differential one (differential).
         overrides: What replaces values of the profile.
     """
 
@@ -118,8 +119,9 @@ class Scenario:
         )
         # Looked up once: files may change later, and are not there on the other machines of a cluster.
         robot = self.overrides.applied_to(get_profile(self.profile), self.distance)
-        if self.simulator == "gazebo" or self.base == "mecanum":
-            robot.require_holonomic("Gazebo" if self.simulator == "gazebo" else "a base of mecanum wheels")
+        if self.simulator == "gazebo":
+            robot.require_holonomic("Gazebo")
+        check_base(self.base, robot)
         object.__setattr__(self, "_robot", robot)
         object.__setattr__(self, "_arena", get_arena(self.arena))
 

@@ -7,7 +7,9 @@ import math
 import numpy as np
 
 from triform.geometry import wrap_angle
-from triform.simulation.kinematics import integrate, steer
+from triform.kernels import kernel
+from triform.simulation.drive_kernels import advance_pose, drive_team
+from triform.simulation.kinematics import drive_limits, integrate
 from triform.simulation.profiles import Drive
 from triform.types import BoolArray, FloatArray
 
@@ -47,28 +49,39 @@ def resting_poses(poses: FloatArray, velocities: FloatArray, drive: Drive) -> Fl
         Shape (..., 3); where nothing limits the acceleration and nothing lags, ``poses``.
     """
     if drive.is_differential:
-        return _rolled_out(poses, velocities, drive)
+        resting, twists = np.array(poses), np.array(velocities)
+        _roll_out_into(resting.reshape(-1, 3), twists.reshape(-1, 3), drive_limits(drive))
+        return resting
     speed = np.linalg.norm(velocities[..., :2], axis=-1, keepdims=True)
     time = braking_time(speed, drive.max_acceleration, drive.lag)
     turning = braking_time(np.abs(velocities[..., 2:]), drive.max_turn_acceleration, drive.lag)
     return integrate(poses, np.concatenate([velocities[..., :2] * time, velocities[..., 2:] * turning], axis=-1), 1.0)
 
 
-def _rolled_out(poses: FloatArray, velocities: FloatArray, drive: Drive) -> FloatArray:
-    """Poses at the end of the arcs on which wheels come to rest, shape (..., 3).
+@kernel
+def _roll_out_into(poses: FloatArray, velocities: FloatArray, limits: FloatArray) -> None:
+    """Move N differential robots along the arcs on which their wheels come to rest.
 
     While a limit of acceleration holds, speed and turn rate fall at rates of their own, and the arc changes; afterwards
-    both fall in proportion, and the rest is one arc.
+    both fall in proportion, and the rest is one arc. How long that takes is each robot's own.
+
+    Args:
+        poses: Poses in the world frame, shape (N, 3) [m, m, rad]; overwritten.
+        velocities: Body twists, shape (N, 3) [m/s, m/s, rad/s]; overwritten.
+        limits: Largest acceleration [m/s^2], largest turn acceleration [rad/s^2], lag [s].
     """
-    ramps = [
-        np.max(np.abs(velocities[..., axis]) / limit, initial=0.0) - drive.lag if limit < math.inf else 0.0
-        for axis, limit in ((0, drive.max_acceleration), (2, drive.max_turn_acceleration))
-    ]
-    ramp = max(0.0, *ramps)
-    if ramp > 0.0:
-        for _ in range(_RAMP_STEPS):
-            poses, velocities = steer(poses, velocities, np.zeros_like(poses), drive, ramp / _RAMP_STEPS)
-    return integrate(poses, drive.lag * velocities, 1.0)
+    lag = limits[2]
+    rest = np.zeros((1, 3))
+    exists = np.ones(1, np.bool_)
+    for i in range(poses.shape[0]):
+        pose, twist = poses[i : i + 1], velocities[i : i + 1]
+        ramp = max(math.hypot(twist[0, 0], twist[0, 1]) / limits[0], abs(twist[0, 2]) / limits[1]) - lag
+        if ramp > 0.0:
+            for _ in range(_RAMP_STEPS):
+                drive_team(pose, twist, rest, exists, limits, ramp / _RAMP_STEPS)
+        poses[i, 0], poses[i, 1], poses[i, 2] = advance_pose(
+            pose[0, 0], pose[0, 1], pose[0, 2], lag * twist[0, 0], lag * twist[0, 1], lag * twist[0, 2], 1.0
+        )
 
 
 def braking_time(speed: FloatArray, acceleration: float, lag: float) -> FloatArray:

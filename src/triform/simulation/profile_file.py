@@ -134,5 +134,6 @@ def profile_toml(profile: Profile) -> str:
         f"track = {float(drive.track)!r}  # of a differential base: distance between its wheels [m]",
         f"max_wheel_speed = {float(drive.max_wheel_speed)!r}  # of one of these wheels [m/s]",
         f"reverse = {str(drive.reverse).lower()}  # whether a differential base may drive backwards",
+        f"wheel_radius = {float(drive.wheel_radius)!r}  # of these wheels, for simulators that have wheels [m]",
     ]
     return "\n".join(lines) + "\n"

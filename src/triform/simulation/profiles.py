@@ -226,6 +226,8 @@ class Drive:
         track: Distance between the wheels of a differential base [m].
         max_wheel_speed: Largest speed of one of these wheels [m/s].
         reverse: Whether a differential base may drive backwards.
+        wheel_radius: Radius of a differential base's driven wheels [m], for simulators that have wheels; by default a
+            TurtleBot3's.
     """
 
     max_speed: float = 0.5
@@ -238,6 +240,7 @@ class Drive:
     track: float = 0.0
     max_wheel_speed: float = math.inf
     reverse: bool = True
+    wheel_radius: float = 0.033
 
     def __post_init__(self) -> None:
         convert_fields(self)
@@ -250,6 +253,9 @@ class Drive:
         require(0 <= self.lag < math.inf, f"lag is {self.lag} s; it must be finite and not negative")
         require(self.kind in KINDS, f"kind is {self.kind!r}; allowed are {', '.join(KINDS)}")
         require(0 <= self.track < math.inf, f"track is {self.track} m; it must be finite and not negative")
+        require(
+            _is_positive(self.wheel_radius), f"wheel_radius is {self.wheel_radius} m; it must be positive and finite"
+        )
         require(
             not self.is_differential or self.max_turn_rate < math.inf,
             "max_turn_rate is inf; a differential base turns to where it is to go, so its turn rate has a limit",

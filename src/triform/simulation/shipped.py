@@ -54,7 +54,7 @@ RPLIDAR_A2 = replace(
 )
 
 #: Speeds of ROBOTIS's TurtleBot3 Burger: e-manual, "Specifications"; no wheel is faster than when both drive straight.
-#: Track, outline and place of the LiDAR: turtlebot3_burger.urdf. Accelerations, lag, latency: assumptions.
+#: Track, wheels, outline and place of the LiDAR: turtlebot3_burger.urdf. Accelerations, lag, latency: assumptions.
 BURGER = Profile(
     "turtlebot3-burger",
     Footprint.circle(0.25),
@@ -68,6 +68,7 @@ BURGER = Profile(
         kind="differential",
         track=0.16,
         max_wheel_speed=0.22,
+        wheel_radius=0.033,
     ),
     latency=0.05,
     mounting=Mounting(x=-0.032),
@@ -91,8 +92,8 @@ WAFFLE = replace(
 
 #: Clearpath's TurtleBot 4: an iRobot Create 3, 342 mm across. Speed with its safety features, largest speed and largest
 #: acceleration of a wheel: create3_docs, "Safety Overrides"; it backs up freely only if its `safety_override` is
-#: `backup_only`. Turn rate: TurtleBot 4 manual, "Features". Track: irobot_create_description. Place of the LiDAR:
-#: turtlebot4.urdf.xacro; its zero points to the left. Lag, latency: assumptions.
+#: `backup_only`. Turn rate: TurtleBot 4 manual, "Features". Track and wheels: irobot_create_description. Place of the
+#: LiDAR: turtlebot4.urdf.xacro; its zero points to the left. Lag, latency: assumptions.
 TURTLEBOT4 = Profile(
     "turtlebot4",
     Footprint.circle(0.342),
@@ -106,6 +107,7 @@ TURTLEBOT4 = Profile(
         kind="differential",
         track=0.233,
         max_wheel_speed=0.46,
+        wheel_radius=0.03575,
     ),
     latency=0.1,
     mounting=Mounting(x=-0.04, yaw=math.pi / 2),

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal
 
-from triform.simulation.profiles import Drive, Footprint
+from triform.simulation.profiles import Drive, Footprint, Profile
 from triform.types import require
 
-#: How a robot moves: by a force in the plane, or on four mecanum wheels.
-Base = Literal["planar", "mecanum"]
-BASES: tuple[Base, ...] = ("planar", "mecanum")
+#: How a robot moves: by a force in the plane, on four mecanum wheels, or on two driven wheels and casters.
+Base = Literal["planar", "mecanum", "differential"]
+BASES: tuple[Base, ...] = ("planar", "mecanum", "differential")
 
 #: RoboMaster EP: mass of the whole robot [kg] and height [m].
 MASS = 3.4
@@ -19,6 +19,12 @@ HEIGHT = 0.27
 WHEEL_PLACE = 0.10
 WHEEL_MASS = 0.1
 CENTRE_OF_MASS = 0.08
+#: Differential robots: half the width of a driven wheel, and the radius of a caster's ball [m].
+WHEEL_HALF_WIDTH = 0.009
+BALL_RADIUS = 0.01
+#: The balls stand before and behind the axle at this share of the footprint's half length, about as those of a Create 3
+#: (0.73) and of a TurtleBot3 Burger (0.65).
+CASTER_PLACE = 0.7
 #: Height of the LiDAR, above the wheels [m].
 LIDAR_HEIGHT = 0.20
 #: What a drive without limits of its own can do [m/s^2, rad/s^2]: an assumption, because real wheels slip.
@@ -43,6 +49,34 @@ def moments_of_inertia(footprint: Footprint, mass: float) -> tuple[float, float,
     across, along = (mass * (size**2 + HEIGHT**2) / 12 for size in (footprint.width, footprint.length))
     turning = mass * (footprint.length**2 + footprint.width**2) / (8 * 2 if footprint.is_circle else 12)
     return across, along, turning
+
+
+def check_base(base: Base, profile: Profile) -> None:
+    """Make sure that robots of a profile can stand on a base: on its own wheels, or on none.
+
+    Raises:
+        ConfigurationError: They cannot.
+    """
+    own = "differential" if profile.drive.is_differential else "mecanum"
+    require(
+        base in ("planar", own),
+        f"base is {base!r}, but robots of the {profile.drive.kind} profile {profile.name!r} drive on a planar or a "
+        f"{own} base",
+    )
+
+
+def check_axle(profile: Profile) -> None:
+    """Make sure that the two wheels of a differential profile fit under its footprint.
+
+    Raises:
+        ConfigurationError: They do not, or their distance is not known.
+    """
+    track, width = profile.drive.track, profile.footprint.width
+    require(
+        0 < track < width,
+        f"track is {track} m; the wheels of a differential base need a distance, and a place under their footprint, "
+        f"which is {width} m wide",
+    )
 
 
 def check_wheels(footprint: Footprint) -> None:

@@ -22,6 +22,7 @@ from triform.simulators.chassis import (
     check_wheels,
     moments_of_inertia,
 )
+from triform.simulators.sdf import box, cylinder, inertia, pose
 
 #: Bits of what may touch what: wheels touch the ground alone.
 _BODY, _WHEEL = 1, 2
@@ -42,10 +43,10 @@ def write_world(profile: Profile, arena: Arena, robots: int, base: Base, time_st
     obstacles = []
     for index, (x1, y1, x2, y2) in enumerate(arena.walls.tolist()):
         place = ((x1 + x2) / 2, (y1 + y2) / 2, math.atan2(y2 - y1, x2 - x1))
-        shape = _box(math.hypot(x2 - x1, y2 - y1), WALL_THICKNESS, WALL_HEIGHT)
+        shape = box(math.hypot(x2 - x1, y2 - y1), WALL_THICKNESS, WALL_HEIGHT)
         obstacles.append(_obstacle(f"wall{index}", place, shape))
     for index, (x, y, radius) in enumerate(arena.pillars.tolist()):
-        obstacles.append(_obstacle(f"pillar{index}", (x, y, 0.0), _cylinder(radius, WALL_HEIGHT)))
+        obstacles.append(_obstacle(f"pillar{index}", (x, y, 0.0), cylinder(radius, WALL_HEIGHT)))
     ground = _collision("<plane><normal>0 0 1</normal><size>100 100</size></plane>", 0.0, _BODY | _WHEEL, (1.0, 1.0))
     return f"""<sdf version="1.6"><world name="triform">
     <physics type="ode">
@@ -69,22 +70,10 @@ def write_world(profile: Profile, arena: Arena, robots: int, base: Base, time_st
     </world></sdf>"""
 
 
-def _pose(x: float, y: float, z: float, heading: float = 0.0) -> str:
-    return f"<pose>{x} {y} {z} 0 0 {heading}</pose>"
-
-
-def _box(length: float, width: float, height: float) -> str:
-    return f"<box><size>{length} {width} {height}</size></box>"
-
-
-def _cylinder(radius: float, length: float) -> str:
-    return f"<cylinder><radius>{radius}</radius><length>{length}</length></cylinder>"
-
-
 def _collision(shape: str, height: float, bits: int, friction: tuple[float, float]) -> str:
     """Return a body whose centre is at ``height`` [m], with friction along and across its first direction."""
     return f"""<collision name="body">
-      {_pose(0.0, 0.0, height)}<geometry>{shape}</geometry>
+      {pose(0.0, 0.0, height)}<geometry>{shape}</geometry>
       <surface>
         <friction><ode><mu>{friction[0]}</mu><mu2>{friction[1]}</mu2><fdir1>1 0 0</fdir1></ode></friction>
         <contact><collide_bitmask>{bits}</collide_bitmask></contact>
@@ -92,20 +81,11 @@ def _collision(shape: str, height: float, bits: int, friction: tuple[float, floa
     </collision>"""
 
 
-def _inertia(mass: float, height: float, moments: tuple[float, float, float]) -> str:
-    ixx, iyy, izz = moments
-    return f"""<inertial>{_pose(0.0, 0.0, height)}<mass>{mass}</mass>
-      <inertia>
-        <ixx>{ixx}</ixx><iyy>{iyy}</iyy><izz>{izz}</izz><ixy>0</ixy><ixz>0</ixz><iyz>0</iyz>
-      </inertia>
-    </inertial>"""
-
-
 def _obstacle(name: str, place: tuple[float, float, float], shape: str) -> str:
     x, y, heading = place
     return f"""<model name="{name}"><static>true</static>
       <link name="link">{_collision(shape, 0.0, _BODY, (0.0, 0.0))}</link>
-      {_pose(x, y, WALL_HEIGHT / 2, heading)}
+      {pose(x, y, WALL_HEIGHT / 2, heading)}
     </model>"""
 
 
@@ -119,14 +99,14 @@ def _robot(index: int, footprint: Footprint, base: Base) -> str:
     clearance = WHEEL_RADIUS if wheels else 0.0
     height = HEIGHT - clearance
     shape = (
-        _cylinder(footprint.half_length, height)
+        cylinder(footprint.half_length, height)
         if footprint.is_circle
-        else _box(footprint.length, footprint.width, height)
+        else box(footprint.length, footprint.width, height)
     )
     signs = (("fl", 1, 1), ("fr", 1, -1), ("rl", -1, 1), ("rr", -1, -1)) if wheels else ()
-    return f"""<model name="robot{index}">{_pose(0.0, 0.0, -100.0 * (index + 1))}
+    return f"""<model name="robot{index}">{pose(0.0, 0.0, -100.0 * (index + 1))}
       <link name="base">
-        {_inertia(mass, CENTRE_OF_MASS, moments_of_inertia(footprint, mass))}
+        {inertia(mass, CENTRE_OF_MASS, moments_of_inertia(footprint, mass))}
         {_collision(shape, clearance + height / 2, _BODY, (0.0, 0.0))}
       </link>
       {"".join(_wheel(name, x * WHEEL_PLACE, y * WHEEL_PLACE) for name, x, y in signs)}
@@ -137,8 +117,8 @@ def _wheel(name: str, x: float, y: float) -> str:
     moment = 0.5 * WHEEL_MASS * WHEEL_RADIUS**2
     sphere = f"<sphere><radius>{WHEEL_RADIUS}</radius></sphere>"
     # Rollers: full friction along the first direction, which the plugin turns, none across it.
-    return f"""<link name="{name}">{_pose(x, y, WHEEL_RADIUS)}
-      {_inertia(WHEEL_MASS, 0.0, (moment, moment, moment))}
+    return f"""<link name="{name}">{pose(x, y, WHEEL_RADIUS)}
+      {inertia(WHEEL_MASS, 0.0, (moment, moment, moment))}
       {_collision(sphere, 0.0, _WHEEL, (1.0, 0.0))}
     </link>
     <joint name="{name}_axle" type="revolute">

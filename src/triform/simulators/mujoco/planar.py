@@ -6,7 +6,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from triform.simulation.kinematics import integrate, steer
-from triform.simulation.profiles import Drive, Footprint
+from triform.simulation.profiles import Profile
 from triform.simulators.chassis import MASS, moments_of_inertia
 from triform.simulators.mujoco.shapes import RobotParts, chassis
 from triform.types import FloatArray
@@ -18,21 +18,21 @@ class PlanarBase:
     #: Step of the physics [s].
     time_step = 0.01
 
-    def __init__(self, batch: Batch, robots: int, drive: Drive, footprint: Footprint) -> None:
+    def __init__(self, batch: Batch, robots: int, profile: Profile) -> None:
         """Take the simulations, and what the bases can do."""
         shape = (batch.nsim, robots, 3)
         self._places = batch.qpos.reshape(shape)
         self._rates = batch.qvel.reshape(shape)
         self._forces = batch.qfrc_applied.reshape(shape)
-        self._inertia = np.array([MASS, MASS, moments_of_inertia(footprint, MASS)[2]])
-        self._drive = drive
+        self._inertia = np.array([MASS, MASS, moments_of_inertia(profile.footprint, MASS)[2]])
+        self._drive = profile.drive
 
     @staticmethod
-    def write_robot(index: int, footprint: Footprint) -> RobotParts:
+    def write_robot(index: int, profile: Profile) -> RobotParts:
         """Return a robot that nothing but forces moves."""
         return RobotParts(f"""<body name="robot{index}">
       <joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>
-      {chassis(index, footprint, MASS, 0.0)}
+      {chassis(index, profile.footprint, MASS, 0.0)}
     </body>""")
 
     @property

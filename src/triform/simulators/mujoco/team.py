@@ -15,7 +15,7 @@ from triform.simulation.arena import Arena
 from triform.simulation.kinematics import limit_twists
 from triform.simulation.profiles import Profile
 from triform.simulation.sensors import SensorSuite
-from triform.simulators.chassis import BASES, Base, braked
+from triform.simulators.chassis import BASES, Base, braked, check_base
 from triform.simulators.mujoco.lidar import RayCaster
 from triform.simulators.mujoco.model import MOTIONS, write_model, write_sight
 from triform.simulators.mujoco.picture import draw
@@ -77,7 +77,8 @@ class MujocoTeam:
             profile: Kind of all robots.
             arena: Walls and pillars; by default none.
             seeds: One seed for every world; may be left out if the profile has no random errors.
-            base: How the robots move: by a force in the plane, or on four mecanum wheels.
+            base: How the robots move: by a force in the plane, on four mecanum wheels, or on two driven wheels and
+                casters.
 
         Raises:
             ConfigurationError: If the shape does not fit, a pose is not finite, wheels do not fit under the footprint,
@@ -91,6 +92,7 @@ class MujocoTeam:
             f"poses of shape {placed.shape} given; finite ones of shape (worlds, robots, 3) are needed",
         )
         require(base in BASES, f"base is {base!r}; allowed are {', '.join(BASES)}")
+        check_base(base, profile)
         worlds, robots = placed.shape[:2]
         self.profile, self.arena, self.control_period = profile, arena or Arena.open(), profile.control_period
         self.newcomer = profile
@@ -99,14 +101,14 @@ class MujocoTeam:
         self.collided: BoolArray = np.zeros(worlds, np.bool_)
         self.hit_arena: BoolArray = np.zeros(worlds, np.bool_)
         self._base: Base = base
-        self._drive = braked(profile.drive)
+        self._braked = replace(profile, drive=braked(profile.drive))
         self._active = np.ones((worlds, robots), np.bool_)
         self._steps = 0
         self._build()
         for b, i in np.ndindex(worlds, robots):
             self._motion.place(b, i, placed[b, i])
         self._approach()
-        self._senses = SensorSuite(replace(profile, drive=self._drive), self.poses, self._active, seeds)
+        self._senses = SensorSuite(self._braked, self.poses, self._active, seeds)
         if not profile.lidar.rolling:
             self._senses.finish(self._snapshot(), self.poses, self._active)
 
@@ -197,11 +199,10 @@ class MujocoTeam:
     def _build(self) -> None:
         """Make the simulations, all robots parked."""
         worlds, robots = self._active.shape
-        footprint = self.profile.footprint
-        model = mujoco.MjModel.from_xml_string(write_model(footprint, self.arena, robots, self._base))
+        model = mujoco.MjModel.from_xml_string(write_model(self._braked, self.arena, robots, self._base))
         self._batch = Batch(model, worlds, min(worlds, usable_threads()))
-        self._motion = MOTIONS[self._base](self._batch, robots, self._drive, footprint)
-        sight = mujoco.MjModel.from_xml_string(write_sight(footprint, self.arena, robots))
+        self._motion = MOTIONS[self._base](self._batch, robots, self._braked)
+        sight = mujoco.MjModel.from_xml_string(write_sight(self.profile.footprint, self.arena, robots))
         mounting = self.profile.mounting
         self._rays = RayCaster(sight, self.profile.from_lidar, (mounting.x, mounting.y))
         self._found = self._batch.bind("sensordata").reshape(worlds, robots, 2)
