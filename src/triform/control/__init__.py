@@ -4,6 +4,7 @@ from triform.control.expert import EXPERTS, Expert, ExpertVariant, Springs, expe
 from triform.control.gnn import GnnController
 from triform.control.learned import LearnedPolicy
 from triform.control.loop import control_steps, drive
+from triform.control.mixed import MixedController
 from triform.control.registry import (
     CONTROLLERS,
     POLICY,
@@ -27,6 +28,7 @@ __all__ = [
     "ExpertVariant",
     "GnnController",
     "LearnedPolicy",
+    "MixedController",
     "SafetyFilter",
     "SafetySettings",
     "ScanPipeline",

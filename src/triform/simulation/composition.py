@@ -51,20 +51,8 @@ class Composition:
         Raises:
             ConfigurationError: There is no such profile, or it is one of several without a number of robots.
         """
-        text = converted("profile", text, str).strip()
-        kinds = _KIND.findall(text)
-        if not kinds and len(text.split()) > 1 and not text.endswith(".toml"):
-            kinds = [(text, "")]
-        if not kinds:
-            return cls((get_profile(text),))
-        rest = _KIND.sub("", text)
-        names = [rest] if rest else [name for name, count in kinds if not count]
-        names += [name for name, _ in kinds if not name.endswith(".toml") and " " in name]
-        require(
-            not names,
-            f"profile is {text!r}; of several profiles each names its number of robots, as in turtlebot4:3 hardware:2",
-        )
-        return cls(tuple(get_profile(name) for name, _ in kinds), tuple(int(count) for _, count in kinds))
+        names, counts = read_kinds(text)
+        return cls(tuple(map(get_profile, names)), counts)
 
     @classmethod
     def of(cls, profile: Profile | Composition) -> Composition:
@@ -144,8 +132,10 @@ class Composition:
         ends = [sum(counts[: kind + 1]) for kind in range(len(counts) - 1)] + [robots]
         return [slice(first, last) for first, last in zip([0, *ends], ends, strict=False)]
 
-    def footprints(self, robots: int) -> tuple[Footprint, ...]:
-        """Return the outline of each robot of a team of so many."""
+    def outlines(self, robots: int) -> Footprint | tuple[Footprint, ...]:
+        """Return the outline of all robots, or of several kinds that of each robot of a team of so many."""
+        if not self.is_mixed:
+            return self.profiles[0].footprint
         slices = self.slices(robots)
         return tuple(
             profile.footprint
@@ -156,3 +146,21 @@ class Composition:
     def changed(self, change: Callable[[Profile], Profile]) -> Composition:
         """Return the composition with every profile changed in the same way."""
         return replace(self, profiles=tuple(map(change, self.profiles)))
+
+
+def read_kinds(text: str) -> tuple[tuple[str, ...], tuple[int, ...] | None]:
+    """Read names of profiles and how many robots each has; ``None`` for one profile and any number.
+
+    Raises:
+        ConfigurationError: One of several profiles has no number.
+    """
+    text = converted("profile", text, str).strip()
+    kinds = _KIND.findall(text)
+    # The path of a file may hold spaces.
+    names = [name for name, _ in kinds] or [text]
+    unnumbered = any(len(name.split()) > 1 and not name.endswith(".toml") for name in names)
+    require(
+        not unnumbered and not (kinds and _KIND.sub("", text)),
+        f"profile is {text!r}; of several profiles each names its number of robots, as in turtlebot4:3 hardware:2",
+    )
+    return tuple(names), tuple(int(count) for _, count in kinds) or None

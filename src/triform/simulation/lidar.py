@@ -16,7 +16,7 @@ from triform.simulation.moving_ray_kernels import cast_moving_worlds
 from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
 from triform.simulation.ray_kernels import ScanRays, Scene
 from triform.threads import in_parts, usable_threads
-from triform.types import Body, BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, as_array, require
+from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, as_array, require
 
 __all__ = ["angle_offsets", "apply_noise", "cast_rolling", "cast_scans", "cast_world", "noise_sigma", "scan_rays"]
 
@@ -81,7 +81,7 @@ def cast_scans(
     places, mask = _checked_batch(poses, active)
     worlds, total = mask.shape
     ranges = np.empty((worlds, total, config.rays), dtype)
-    scene, rays = Scene(_body(footprint, total), arena.walls, arena.pillars), scan_rays(config, *eye)
+    scene, rays = make_scene(footprint, arena, total), scan_rays(config, *eye)
     if total <= SMALL_TEAM or worlds >= usable_threads():
         in_parts(
             lambda first, last: cast_worlds(places, mask, scene, rays, ranges, first, last),
@@ -93,12 +93,16 @@ def cast_scans(
     return ranges[:, robots]
 
 
-def _body(footprint: Footprint | Sequence[Footprint], robots: int) -> Body | Bodies:
-    """The outline of all robots, or of each, as kernels take it."""
+def make_scene(footprint: Footprint | Sequence[Footprint], arena: Arena, robots: int) -> Scene:
+    """Return the outline of all robots, or of each, with walls and pillars as kernels take them.
+
+    Raises:
+        ConfigurationError: The number of outlines is not that of robots.
+    """
     if isinstance(footprint, Footprint):
-        return footprint.body
+        return Scene(footprint.body, arena.walls, arena.pillars)
     require(len(footprint) == robots, f"{len(footprint)} footprints given for {robots} robots; one for each is needed")
-    return Bodies.of([each.body for each in footprint])
+    return Scene(Bodies.of([each.body for each in footprint]), arena.walls, arena.pillars)
 
 
 def _cast_large(poses: FloatArray, active: BoolArray, scene: Scene, rays: ScanRays, ranges: RangeArray) -> None:
@@ -157,7 +161,7 @@ def cast_rolling(
         raise ConfigurationError(f"angle offsets of shape {errors.shape} given; {shape} is needed")
     ranges = np.full(shape, np.inf, dtype)
     share_step = 0.0 if start is end else 1.0 / config.rays
-    scene = Scene(_body(footprint, start.shape[1]), arena.walls, arena.pillars)
+    scene = make_scene(footprint, arena, start.shape[1])
     turn = (scan_rays(config, *eye), errors, share_step, observers.start, ranges)
     in_parts(
         lambda first, last: cast_moving_worlds(start, end, mask, scene, *turn, first, last),

@@ -12,19 +12,16 @@ from numpy.typing import ArrayLike
 
 from triform.mixed import MixedView
 from triform.simulation.arena import Arena, get_arena
-from triform.simulation.body_kernels import Bodies
 from triform.simulation.composition import Composition
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
-from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, scan_rays
-from triform.simulation.profiles import Footprint, Profile
-from triform.simulation.ray_kernels import Scene
+from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, make_scene, scan_rays
+from triform.simulation.profiles import Profile
 from triform.simulation.sensors import SensorSuite, padded, stretches
 from triform.simulation.spawning import sample_starts, world_seeds
 from triform.simulation.world_kernels import Contacts, LidarTurn, Motion, advance_worlds, record_contacts
 from triform.threads import in_parts
 from triform.types import (
     SENSING_RANGE,
-    Body,
     BoolArray,
     ConfigurationError,
     FloatArray,
@@ -297,12 +294,8 @@ class World:
     def _arrange(self) -> None:
         """Set what kernels need to know of the kinds, for the present number of robots."""
         composition, robots = self._composition, self._active.shape[1]
-        self._footprints: Footprint | tuple[Footprint, ...] = composition.profiles[0].footprint
-        body: Body | Bodies = self._footprints.body
-        if composition.is_mixed:
-            self._footprints = composition.footprints(robots)
-            body = Bodies.of([footprint.body for footprint in self._footprints])
-        self._scene = Scene(body, self._arena.walls, self._arena.pillars)
+        self._outlines = composition.outlines(robots)
+        self._scene = make_scene(self._outlines, self._arena, robots)
         self._bounds = np.array([0, *(kind.robots.stop for kind in self._kinds)])
         self._limits = np.stack([drive_limits(profile.drive) for profile in composition.profiles])
 
@@ -361,7 +354,7 @@ class World:
         profile, mounting, robots = kind.profile, kind.profile.mounting, kind.robots
         offsets = kind.senses.draw_offsets(self._active[:, robots])
         eye = (mounting.x, mounting.y)
-        scene = (self._footprints, self._arena, profile.from_lidar, offsets, np.float32, eye, robots)
+        scene = (self._outlines, self._arena, profile.from_lidar, offsets, np.float32, eye, robots)
         return np.ascontiguousarray(cast_scans(self._poses, self._active, *scene))
 
     def _grow(self) -> None:
