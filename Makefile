@@ -18,25 +18,30 @@ endif
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 
-# The wheels of ROS 2 start every Python of their environment twice, so they have one of their own above the other.
+# The wheels of ROS 2 start every Python of their environment twice, so those of Jazzy and of Kilted have one of
+# their own each, above the other.
 ROS := $(VENV)-ros
 
 # What test-quick runs: it needs the extra "test" alone, and about a minute beside the kernels' compilation.
 QUICK := tests/geometry tests/perception tests/simulation tests/test_boundary_types.py tests/test_front_door.py \
 	tests/test_kernel_cache.py tests/test_rooms.py tests/test_threads.py tests/test_view_of_scan.py
 
+# What runs with the wheels of Kilted as with those of Jazzy: topics, services, parameters and a team.
+KILTED := tests/ros2/test_ros_live.py tests/ros2/test_ros_turtlebot.py
+
 .PHONY: demo test test-quick gazebo fuzz bench clean
 
 demo: $(VENV)/installed-evaluate
 	$(BIN)/triform demo
 
-test: $(VENV)/installed-dev $(ROS)/installed
+test: $(VENV)/installed-dev $(ROS)/installed $(ROS)-kilted/installed
 	$(BIN)/ruff check src tests benchmarks ros2
 	$(BIN)/ruff format --check src tests benchmarks ros2
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest --ignore tests/ros2
 	$(ROS)/bin/python -m pytest tests/ros2
+	$(ROS)-kilted/bin/python -m pytest $(KILTED)
 
 test-quick: $(VENV)/installed-test
 	$(BIN)/python -m pytest $(QUICK)
@@ -69,15 +74,20 @@ $(BIN)/python:
 		|| { echo "triform needs Python 3.11 or newer; name it with: make PYTHON=/path/to/python" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }
 
-$(ROS)/installed: pyproject.toml constraints.txt $(VENV)/installed-dev
-	@echo "installing triform[ros] into $(ROS)"
-	@rm -rf $(ROS) && $(PYTHON) -m venv $(ROS)
-	@echo "import site; site.addsitedir('$(CURDIR)/$(VENV)/lib/python$$($(ROS)/bin/python -c 'import sys; print(*sys.version_info[:2], sep=".")')/site-packages')" \
-		> "$$($(ROS)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/zz_triform.pth"
-	@$(ROS)/bin/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt \
-		$$($(ROS)/bin/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["ros"])') \
+# The environment of a distribution of ROS 2: its extra, and the constraints that hold for it.
+define ROS_ENVIRONMENT
+$(1)/installed: pyproject.toml $(3) $(VENV)/installed-dev
+	@echo "installing triform[$(2)] into $(1)"
+	@rm -rf $(1) && $$(PYTHON) -m venv $(1)
+	@echo "import site; site.addsitedir('$$(CURDIR)/$(VENV)/lib/python$$$$($(1)/bin/python -c 'import sys; print(*sys.version_info[:2], sep=".")')/site-packages')" \
+		> "$$$$($(1)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/zz_triform.pth"
+	@$(1)/bin/python -m pip --disable-pip-version-check install --quiet --constraint $(3) \
+		$$$$($(1)/bin/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["$(2)"])') \
 		|| echo "there are no wheels of ROS 2 for this machine; the tests that need them are skipped"
-	@touch $@
+	@touch $$@
+endef
+$(eval $(call ROS_ENVIRONMENT,$(ROS),ros,constraints.txt))
+$(eval $(call ROS_ENVIRONMENT,$(ROS)-kilted,ros-kilted,constraints-kilted.txt))
 
 $(VENV)/installed-%: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing triform[$*] into $(VENV)"

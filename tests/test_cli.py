@@ -63,6 +63,10 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         (["reproduce", "fig99"], "fig99"),
         (["train"], "--out"),
         (["show", "policies", "paper"], "only listed"),
+        (["show", "intensities"], "name is missing; intensities are those of a recording"),
+        (["evaluate", "--simulator", "gazebo", "--min-intensity", "230"], "Gazebo's"),
+        (["evaluate", "--profile", "turtlebot4", "--min-intensity", "230"], "but this LiDAR does not say"),
+        (["drive", "--lidar-model", "rplidar-a1"], "run its ROS 2 driver"),
     ],
 )
 def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -78,6 +82,7 @@ def test_wrong_options_are_wrong_usage(arguments: list[str], says: str, capsys: 
         (["evaluate", "--controller", "policy:nowhere"], "no policy 'nowhere'"),
         (["evaluate", "--starts", "missing.csv"], "missing.csv"),
         (["export", "missing"], "holds no policy"),
+        (["show", "intensities", "missing"], "missing/scans.csv cannot be read: no such file"),
         (["collect", "--out", "data", "--teacher", "nobody"], "no expert 'nobody'"),
         (["train", "--out", "run", "--preset", "paper"], "--data"),
         (["train", "--out", "run", "--preset", DEMONSTRATED, "--data", "missing"], "missing"),

@@ -282,10 +282,13 @@ class Scan:
     Attributes:
         ranges: Measured ranges [m], shape (..., R); REP 117 for what is no range.
         config: Angles and limits of the scan.
+        intensities: How bright every return is, shape (..., R), in the LiDAR's own scale as in ``LaserScan``; 0 to 255
+            for LDROBOT's. Without meaning where nothing returned; ``None`` where the LiDAR does not say.
     """
 
     ranges: RangeArray
     config: ScanConfig
+    intensities: RangeArray | None = None
 
     def __post_init__(self) -> None:
         converted("config of a scan", self.config, ScanConfig)
@@ -295,6 +298,14 @@ class Scan:
             raise ConfigurationError(
                 f"a scan has ranges of shape {ranges.shape}; "
                 f"its last axis must hold the {self.config.rays} rays of its configuration"
+            )
+        if self.intensities is not None:
+            intensities = as_array("intensities of a scan", self.intensities, None)
+            object.__setattr__(self, "intensities", intensities)
+            require(
+                intensities.shape == ranges.shape,
+                f"a scan has intensities of shape {intensities.shape} and ranges of shape {ranges.shape}; they need "
+                "one shape",
             )
 
 
@@ -322,7 +333,13 @@ class View:
     odometry: FloatArray | None = field(default=None, kw_only=True)
 
     @classmethod
-    def of_scan(cls, ranges: ArrayLike, config: ScanConfig | None = None, time: float = 0.0) -> View:
+    def of_scan(
+        cls,
+        ranges: ArrayLike,
+        config: ScanConfig | None = None,
+        time: float = 0.0,
+        intensities: ArrayLike | None = None,
+    ) -> View:
         """Return the view of robots that have nothing but a scan.
 
         Args:
@@ -330,9 +347,11 @@ class View:
                 no range.
             config: Angles and limits of the scan; a full turn from -pi counter-clockwise up to 2 m if omitted.
             time: Time since the start of the run [s].
+            intensities: How bright every return is, in the LiDAR's own scale, of the shape of the ranges; not known if
+                omitted.
 
         Raises:
-            ConfigurationError: The ranges are no numbers, or of another shape.
+            ConfigurationError: The ranges or intensities are no numbers, or of another shape.
         """
         given = np.array(as_array("ranges of a scan", ranges))
         require(
@@ -340,7 +359,17 @@ class View:
             f"ranges of shape {given.shape} given; (R,), (N, R) or (B, N, R) is needed, with at least one ray",
         )
         batch = given.reshape((1,) * (3 - given.ndim) + given.shape)
-        scans = Scan(batch, ScanConfig(rays=batch.shape[-1]) if config is None else config)
+        bright = None if intensities is None else np.array(as_array("intensities of a scan", intensities))
+        require(
+            bright is None or bright.shape == given.shape,
+            f"intensities of shape {getattr(bright, 'shape', None)} given for ranges of shape {given.shape}; they need "
+            "one shape",
+        )
+        scans = Scan(
+            batch,
+            ScanConfig(rays=batch.shape[-1]) if config is None else config,
+            None if bright is None else bright.reshape(batch.shape),
+        )
         return cls(scans, np.ones(batch.shape[:2], dtype=np.bool_), time)
 
     def __post_init__(self) -> None:

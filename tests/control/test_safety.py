@@ -287,7 +287,7 @@ def test_a_crowd_never_overlaps(profile):
     assert world.min_distance.max() < 0.45
 
 
-@pytest.mark.parametrize("arena", ["room-6", "pillars"])
+@pytest.mark.parametrize("arena", ["room-6", "pillars", "living-room"])
 def test_walls_and_pillars_are_not_hit(arena):
     class Flee(Crush):
         def command(self, view: PrivilegedView) -> FloatArray:

@@ -14,7 +14,7 @@ import pytest
 from triform.control import ControllerSpec, MixedController, SafetyFilter, drive, make_controller
 from triform.evaluation import Scenario
 from triform.evaluation.events import Event
-from triform.evaluation.filters import safety_settings
+from triform.evaluation.filters import team_settings
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.experiments.settings import describe
 from triform.mixed import MixedView
@@ -53,7 +53,7 @@ def test_a_privileged_controller_sees_everybody_and_each_kind_its_own_filter(nam
     controller = scenario.make_controller(name)
     assert controller.privileged
     wanted, commands = everyone.command(view), controller.command(view)
-    settings = safety_settings(scenario.team.profiles, scenario.drives)
+    settings = team_settings(scenario.driven)
     for rules, part, robots in zip(settings, view.parts, view.robots, strict=True):
         own = SafetyFilter(everyone, rules).limit(part, wanted[:, robots])
         np.testing.assert_array_equal(commands[:, robots], own)
@@ -109,15 +109,15 @@ def test_a_controller_of_ones_own_sees_each_kind_at_its_own_period() -> None:
 
 
 def test_all_filters_of_a_team_rest_on_its_slowest_reaction() -> None:
-    settings = safety_settings((HARDWARE, BURGER), (HARDWARE.drive, BURGER.drive))
-    alone = [safety_settings((each,), (each.drive,))[0] for each in (HARDWARE, BURGER)]
+    settings = team_settings((HARDWARE, BURGER))
+    alone = [team_settings((each,))[0] for each in (HARDWARE, BURGER)]
     slowest = max(rules.reaction for rules in alone)
     assert {rules.reaction for rules in settings} == {slowest}
     for rules, own in zip(settings, alone, strict=True):
         assert replace(rules, reaction=own.reaction) == own
     # A box that may turn, 0.5 m x 0.3 m: others keep away from the circle around it, which is 0.14 m wider.
     turning = replace(BURGER, footprint=Footprint.box(0.5, 0.3))
-    both = safety_settings((HARDWARE, turning), (HARDWARE.drive, turning.drive))
+    both = team_settings((HARDWARE, turning))
     stands_out = np.hypot(0.25, 0.15) - 0.15
     assert both[0].min_gap == pytest.approx(alone[0].min_gap + stands_out)
     assert both[1].min_gap == alone[1].min_gap

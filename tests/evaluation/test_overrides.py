@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.options import options, scenario
+from triform.control import IntensityThreshold, SafetyFilter
 from triform.evaluation import Scenario
 from triform.evaluation.overrides import Overrides
 from triform.experiments.evaluate import EvaluateConfig, run_evaluate
@@ -106,4 +107,23 @@ def test_results_record_the_robot_as_it_was_run(tmp_path, listener):
     assert {name: written[name] for name in asdict(Overrides())} == {
         "range_noise": 0.01, "dropout": None, "scan_rate": 20.0, "latency": None, "speed_limit": None,
         "acceleration": None, "lag": None, "footprint": "circle-15", "odometry": True,
+        "min_intensity": None,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("guard", [True, False])
+def test_a_threshold_of_intensity_stands_between_filter_and_controller(guard):
+    """Pillars as thick as robots: with tape the team forms up as if they were not there, and touches nothing."""
+    place = Scenario(arena="pillars", guard=guard, duration=20.0)
+    taped = replace(place, overrides=Overrides(min_intensity=230.0))
+    assert taped.robot.lidar.min_intensity == 230
+    controller = taped.make_controller("scan-triangulating")
+    assert controller.description["min_intensity"] == 230
+    assert isinstance(controller, SafetyFilter if guard else IntensityThreshold)
+    assert taped.make_controller(controller).description == controller.description
+    starts = place.sample_starts(5, 4, 3)
+    _, rows = taped.run(starts, controller, seed=3)
+    assert rows["strict"].all()
+    assert not rows["hit_arena"].any()
+    _, plain = place.run(starts, "scan-triangulating", seed=3)
+    assert plain["strict"].sum() < 4

@@ -61,7 +61,7 @@ def test_blocked_starts_are_counted_in_one_sentence(check):
     getattr(Scenario(), check)(*given)
 
 
-@pytest.mark.parametrize("arena", ["open", "room-6", "pillars"])
+@pytest.mark.parametrize("arena", ["open", "room-6", "pillars", "living-room"])
 def test_starts_of_up_to_thirteen_robots_fit_into_every_arena(arena):
     for robots in (4, 13):
         Scenario(arena=arena, profile="hardware").check_starts(sample_starts(robots, 50, 7))

@@ -131,7 +131,7 @@ def test_equal_cells_are_run_once():
     which = ("range-noise", "dropped-rays", "scan-rate", "latency", "speed", "footprint", "arena", "distance")
     config = options(ConditionsConfig, **(QUICK | {"which": which}))
     waiting = Grid(config.list_cells(set(which))).waiting
-    assert len(waiting) == 2 * (1 + 5 + 4 + 4 + 5 + 4 + 6 + 2 + 4)
+    assert len(waiting) == 2 * (1 + 5 + 4 + 4 + 5 + 4 + 6 + 3 + 4)
     assert [cell.labels["label"] for cell in waiting][:3] == ["0", "0", "0.5"]
 
 
@@ -162,6 +162,7 @@ def test_what_cannot_be_run_is_left_out_with_its_reason(tmp_path, listener):
     written = json.loads((tmp_path / "conditions.json").read_text())
     assert list(written["skipped"]) == [
         "scan rate 2 Hz, 25 robots", "arena room-6, 25 robots", "arena pillars, 25 robots",
+        "arena living-room, 25 robots",
     ]  # fmt: skip
     assert [(cell["condition"], cell["label"]) for cell in written["cells"]] == [
         ("scan-rate", "5"), ("scan-rate", "10"), ("scan-rate", "20"), ("scan-rate", "50"), ("arena", "open"),

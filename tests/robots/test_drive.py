@@ -29,6 +29,7 @@ from triform.robots.latency import Budget, Durations
 from triform.robots.ldrobot import LidarModel
 from triform.robots.real import Step
 from triform.robots.recorder import CsvLog
+from triform.robots.scan_file import read_scans
 from triform.signals import StopSignals
 from triform.simulation import HARDWARE, ROBOMASTER_EP, Arena, Mounting, cast_scans, profile_toml
 from triform.types import ConfigurationError, Scan, ScanConfig, TriformError, View
@@ -45,6 +46,7 @@ class FakeLidar:
         poses = np.array([[[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]]])
         exact = cast_scans(poses, np.ones((1, 2), bool), ROBOMASTER_EP, Arena.open(), self.scan, dtype=np.float32)
         self.ranges = exact[0, 0]
+        self.intensities = np.where(np.isfinite(self.ranges), 240, 0).astype(np.float32)
 
     def __enter__(self) -> FakeLidar:
         return self
@@ -57,7 +59,7 @@ class FakeLidar:
         if self.lost_after is not None and passed > self.lost_after:
             raise TriformError("the LiDAR is lost")
         turn = int(min(passed, self.silent_after or np.inf) * 6)
-        return Turn(self.ranges, self.began + (turn - 1) / 6, self.began + turn / 6)
+        return Turn(self.ranges, self.began + (turn - 1) / 6, self.began + turn / 6, self.intensities)
 
     def wait(self, after: float, timeout: float) -> Turn:
         turn = self.latest()
@@ -111,7 +113,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def screen_of(config: DriveConfig, console: Console) -> DriveScreen:
-    return DriveScreen(console, config.outline, config.dry_run)
+    return DriveScreen(console, config.outline, config.dry_run, config.threshold)
 
 
 def run(config: DriveConfig, shown: io.StringIO | None = None) -> str:
@@ -140,6 +142,17 @@ def test_a_dry_run_needs_no_base_and_sends_nothing() -> None:
     said = run(DriveConfig(controller=SCAN_PIPELINE, duration=1.5, rate=20.0, dry_run=True))
     assert made == []
     assert "would send -0.10" in said
+
+
+def test_what_is_dimmer_than_tape_is_no_neighbour_and_stops_the_robot_all_the_same() -> None:
+    """A robot 0.6 m ahead is fled; the same return without tape is not, and nobody drives into it."""
+    for threshold, flees in ((230.0, True), (250.0, False)):
+        said = run(DriveConfig(controller=SCAN_PIPELINE, duration=1.5, rate=20.0, min_intensity=threshold))
+        assert f"neighbours {int(flees)}" in said
+        commands = np.array(made[-1].commands)
+        assert (commands[-1, 0] == pytest.approx(-0.1)) == flees
+    with pytest.raises(ConfigurationError, match=r"min_intensity is 300; it must lie between 0 and 255"):
+        DriveConfig(min_intensity=300)
 
 
 def test_the_budget_tells_map_from_policy() -> None:
@@ -173,6 +186,12 @@ def test_the_recording_says_what_was_seen_and_done(tmp_path: Path) -> None:
         scans = list(csv.DictReader(file))
     assert len(scans) >= 2
     assert float(scans[0]["range_333"]) == pytest.approx(0.44, abs=0.01)
+    assert float(scans[0]["intensity_333"]) == 240
+    found = read_scans(folder)
+    assert found.ranges.shape == found.intensities.shape == (len(scans), 667)
+    np.testing.assert_allclose(found.ranges[-1], [float(scans[-1][f"range_{k}"]) for k in range(667)])
+    ((begin, returns, levels),) = found.summarise([0.0, 0.5, 1.0])
+    assert (begin, returns, *levels) == (0.0, np.isfinite(found.ranges).sum(), 240, 240, 240)
     facts = json.loads((folder / "drive.json").read_text())
     assert facts["ended"] == "its time is over"
     assert facts["settings"]["seed"] == 8

@@ -54,10 +54,17 @@ def test_a_lidar_shows_the_world_around_its_robot(emulation: Emulation) -> None:
     assert turn is not None
     poses, everybody = emulation.poses[None], np.ones((1, 2), dtype=np.bool_)
     arena = EmulateConfig(arena="room-6").surroundings
-    exact = cast_scans(poses, everybody, HARDWARE.footprint, arena, port.scan)[0, 1]
+    hits = np.empty((1, 2, port.scan.rays), np.int32)
+    exact = cast_scans(poses, everybody, HARDWARE.footprint, arena, port.scan, hits=hits)[0, 1]
     wrong = ~(np.abs(turn.ranges - exact) < 0.05)
     # Rays that are dropped, and those at edges, where the nearest sample falls to the other side.
     assert wrong.mean() < 0.05
+    # Robots wear tape, and walls are white: both noisy, and 50 apart.
+    assert turn.intensities is not None
+    usual = arena.levels(HARDWARE.lidar.brightness)[hits[0, 1]]
+    assert set(np.unique(usual)) == {200.0, 250.0}
+    assert (np.abs(turn.intensities - usual)[~wrong] < 25).mean() > 0.97
+    assert turn.intensities.max() <= 255
 
 
 def test_a_mounted_lidar_shows_the_same_world_to_a_driver_that_knows_its_mounting(tmp_path: Path) -> None:
@@ -75,7 +82,7 @@ def test_a_mounted_lidar_shows_the_same_world_to_a_driver_that_knows_its_mountin
         assert turn is not None
         poses, everybody = emulation.poses[None], np.ones((1, 2), dtype=np.bool_)
     scan = config.model.scan_config(7.5)
-    shown = Placement(scan, mounting).from_base(turn.ranges)
+    shown = Placement(scan, mounting).from_base(turn.ranges)[0]
     exact = cast_scans(poses, everybody, HARDWARE.footprint, config.surroundings, scan)[0, 1]
     wrong = ~(np.abs(shown - exact) < 0.06)
     assert wrong.mean() < 0.08

@@ -154,3 +154,30 @@ def test_a_lidar_that_does_not_suit_the_grid_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="apart"):
         scan_of(np.ones(90, np.float32), -math.pi, TURN / 90).on_grid(GRID)
     assert (scan_of(np.ones(225, np.float32), -math.pi, TURN / 225).on_grid(GRID) == 1).all()
+
+
+@settings(deadline=None, max_examples=60)
+@given(rays=ray_counts, seed=seeds, clockwise=st.booleans(), start=st.floats(-7, 7), share=st.floats(0.1, 1))
+def test_an_intensity_goes_with_its_range(rays: int, seed: int, clockwise: bool, start: float, share: float) -> None:
+    """Where a ray of the grid has a range, it has the intensity that came with it."""
+    step = (-1 if clockwise else 1) * TURN / rays
+    count = max(2, int(share * rays))
+    rng = np.random.default_rng(seed)
+    ranges = rng.permutation(np.linspace(0.1, 1.9, count)).astype(np.float32)
+    intensities = rng.integers(0, 256, count).astype(np.float32)
+    scan = scan_of(ranges, start, step, intensities=intensities)
+    placed, bright = scan.on_grid(GRID), scan.intensities_on_grid(GRID)
+    assert bright is not None
+    of = dict(zip(ranges.tolist(), intensities.tolist(), strict=True))
+    for metres, level in zip(placed.tolist(), bright.tolist(), strict=True):
+        assert math.isnan(metres) or of[metres] == level
+
+
+def test_intensities_are_as_many_as_ranges_or_not_known() -> None:
+    ranges = np.ones(450, np.float32)
+    for none in (None, np.zeros(0)):
+        assert scan_of(ranges, 0.0, TURN / 450, intensities=none).intensities_on_grid(GRID) is None
+    with pytest.raises(
+        ConfigurationError, match="the scan has 449 intensities and 450 ranges; it needs as many, or none"
+    ):
+        scan_of(ranges, 0.0, TURN / 450, intensities=np.ones(449))

@@ -33,6 +33,11 @@ PATIENCE = 30.0
 Look = Callable[[FloatArray], FloatArray]
 
 
+def emit(emulator: LidarEmulator, ranges: FloatArray) -> None:
+    """Send returns that are all equally bright."""
+    emulator.emit(ranges, np.full(ranges.shape, 200.0))
+
+
 @contextmanager
 def spinning(emulator: LidarEmulator, look: Look) -> Iterator[None]:
     """Turn an emulator in real time."""
@@ -40,7 +45,7 @@ def spinning(emulator: LidarEmulator, look: Look) -> Iterator[None]:
 
     def spin() -> None:
         while not done.wait(0.005):
-            emulator.emit(look(emulator.due(time.monotonic())))
+            emit(emulator, look(emulator.due(time.monotonic())))
 
     thread = threading.Thread(target=spin)
     thread.start()
@@ -149,7 +154,7 @@ def test_the_emulator_sends_plausible_packets() -> None:
         assert emulator.due(100.0).shape == (0,)
         for now in 100 + np.arange(0.0, 4.0, 0.01):
             angles.append(emulator.due(now))
-            emulator.emit(np.where(np.cos(angles[-1]) > 0, 1.234, np.inf))
+            emit(emulator, np.where(np.cos(angles[-1]) > 0, 1.234, np.inf))
             stream += terminal.read(4096) if len(angles) > 1 else b""
     packets = slow_parse(stream)
     flat_angles = np.concatenate(angles)
@@ -179,19 +184,19 @@ def test_what_is_no_range_is_sent_as_the_device_would() -> None:
         emulator.due(0.0)
         emulator.due(12.5 / 4500)
         special = np.array([np.nan, np.inf, -np.inf, 0.0, 0.0004, 0.0206, 12.0, 12.001, 1.0, 2.0, 3.0, 4.0])
-        emulator.emit(special)
+        emulator.emit(special, np.array([9.0, 9.0, 255.4, 300.0, 1.0, 0.0, 254.6, 77.0, 2.4, -3.0, 120.0, 200.0]))
         (packet,) = slow_parse(terminal.read(4096))
     assert [distance for distance, _ in packet.samples] == [0, 0, 1, 1, 1, 21, 12000, 0, 1000, 2000, 3000, 4000]
-    assert [intensity > 0 for _, intensity in packet.samples] == [d > 0 for d, _ in packet.samples]
+    assert [level for _, level in packet.samples] == [0, 0, 255, 255, 1, 1, 255, 0, 2, 1, 120, 200]
 
 
 def test_nobody_reads_and_nothing_blocks() -> None:
     with LidarEmulator(LD19, np.random.default_rng(4)) as emulator:
         long_ago = time.monotonic() - 40
         for second in range(40):
-            emulator.emit(flat(emulator.due(long_ago + second)))
-        with pytest.raises(ConfigurationError, match=r"ranges of shape \(3,\) given; \(0,\) were due"):
-            emulator.emit(np.ones(3))
+            emit(emulator, flat(emulator.due(long_ago + second)))
+        with pytest.raises(ConfigurationError, match=r"ranges of shape \(3,\) and .*given; \(0,\) were due"):
+            emit(emulator, np.ones(3))
         with spinning(emulator, flat), LidarPort(emulator.path, LD19) as port:
             turn = port.wait(time.monotonic(), PATIENCE)
             assert turn.ranges[~np.isnan(turn.ranges)] == pytest.approx(1.5)

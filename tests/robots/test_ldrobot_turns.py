@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from tests.robots.lidar_oracle import pack, slow_turn
 from triform.robots.laser_scan import Turn
-from triform.robots.ldrobot import LD19, LD20, MODELS, LidarModel, PacketParser, TurnAssembler
+from triform.robots.ldrobot import LD19, LD20, MODELS, LidarModel, PacketParser, TurnAssembler, get_model
 from triform.simulation import Mounting
 from triform.types import ConfigurationError, ScanConfig
 
@@ -27,6 +27,11 @@ class Sent:
     made: float
     angles: list[float]
     distances: list[int]
+
+
+def bright(distance: int) -> int:
+    """An intensity that tells a distance [mm] from all near it."""
+    return 1 + distance % 251
 
 
 def revolve(
@@ -47,7 +52,11 @@ def revolve(
         first, last = int(angle), int(angle + 11 * step)
         distances = rng.integers(200, 7000, 12).tolist()
         data = pack(
-            round(now), first % 36000, [(d, 100) for d in distances], last % 36000, int(1000 * (made + stamp)) % 30000
+            round(now),
+            first % 36000,
+            [(d, bright(d)) for d in distances],
+            last % 36000,
+            int(1000 * (made + stamp)) % 30000,
         )
         sent.append(Sent(data, made, [first + k * (last - first) / 11 for k in range(12)], distances))
         angle += 12 * step
@@ -108,6 +117,9 @@ def test_every_ray_has_the_sample_nearest_in_angle(
         assert turn.ranges.dtype == np.float32
         for shown, allowed in zip(turn.ranges.tolist(), rows, strict=True):
             assert any(abs(shown - metres) < 1e-6 for metres in allowed) if allowed else math.isnan(shown)
+        assert turn.intensities is not None
+        told = np.array([0 if math.isnan(metres) else bright(round(1000 * metres)) for metres in turn.ranges.tolist()])
+        np.testing.assert_array_equal(turn.intensities, told)
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
@@ -247,9 +259,29 @@ def test_left_is_left() -> None:
 
 
 def test_models_are_checked() -> None:
-    assert {name: model.rays for name, model in MODELS.items()} == {"ld19": 450, "ld20": 667, "ld14p": 667}
+    assert {name: model.rays for name, model in MODELS.items()} == {
+        "ld19": 450,
+        "ld06": 450,
+        "stl-19p": 500,
+        "ld20": 667,
+        "ld14p": 667,
+    }
     assert LD20.scan_config(2.0) == ScanConfig(667, -math.pi, 0.1, 2.0)
+    assert get_model("LD06") is LD19
     with pytest.raises(ConfigurationError, match="period is 0"):
         LidarModel("none", 4500, 0, 0.1, 8)
     with pytest.raises(ConfigurationError, match="range_min"):
         LidarModel("none", 4500, 0.1, 9, 8)
+
+
+@pytest.mark.parametrize(
+    ("name", "maker"),
+    [("rplidar-a1", "RPLIDAR"), ("YDLIDAR X4", "YDLIDAR"), ("urg-04lx", "Hokuyo"), ("TiM561", "SICK")],
+)
+def test_lidars_of_others_are_sent_to_ros(name: str, maker: str) -> None:
+    with pytest.raises(ConfigurationError, match=rf"^the LiDAR {name!r} is one of .*{maker}, .*ROS 2 driver[^\n]*$"):
+        get_model(name)
+    with pytest.raises(
+        ConfigurationError, match=r"no LiDAR model 'ld18' \(did you mean 'ld19'\?\); there are ld19, ld06"
+    ):
+        get_model("ld18")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from triform.control import drive
 from triform.robots.laser_scan import Turn
 from triform.robots.real import RealRobot, Step
-from triform.simulation import ROBOMASTER_EP, Drive, Placement, integrate
+from triform.simulation import ROBOMASTER_EP, Drive, Mounting, Placement, integrate
 from triform.types import ConfigurationError, ScanConfig, TriformError, View
 
 SCAN = ScanConfig(rays=90)
@@ -97,6 +97,25 @@ def test_an_old_scan_is_no_scan_and_stops_the_robot_once_announced() -> None:
     lidar.turn = fresh_turn(age=1.0)
     robot.observe()
     assert len(said) == 2
+
+
+def test_a_view_shows_how_bright_returns_are_from_wherever_the_lidar_is() -> None:
+    """A LiDAR ahead of the centre: a near return on the left is bright, a far one on the right dim."""
+    ranges, levels = np.full(SCAN.rays, np.inf, np.float32), np.zeros(SCAN.rays, np.float32)
+    left, right = np.abs(SCAN.angles - 1.5) < 0.2, np.abs(SCAN.angles + 1.5) < 0.2
+    ranges[left], ranges[right] = 0.8, 1.4
+    levels[left], levels[right] = 240.0, 130.0
+    now = time.monotonic()
+    lidar = FakeLidar(Turn(ranges, now - 0.1, now, levels))
+    for mounting in (Mounting(), Mounting(0.1)):
+        robot = make_robot(lidar, None, placement=Placement(SCAN, mounting))
+        scans = robot.observe().scans
+        assert scans.intensities is not None
+        shown = scans.ranges[0, 0]
+        np.testing.assert_array_equal(
+            scans.intensities[0, 0], np.where(shown < 1.1, 240.0, np.where(shown < np.inf, 130.0, 0.0))
+        )
+        assert np.isfinite(shown).sum() >= 10
 
 
 class Eyes:
@@ -221,6 +240,37 @@ def test_no_odometry_where_the_base_does_not_know_or_nobody_wants_it() -> None:
     assert make_robot(lidar, FakeBase(), odometry=False).observe().odometry is None
     assert make_robot(lidar, None).observe().odometry is None
     assert make_robot(lidar, FakeBase()).observe().odometry is not None
+
+
+def test_a_differential_base_stands_while_its_odometry_is_missing_and_says_so_once_after_a_while() -> None:
+    said: list[str] = []
+    lidar, base = FakeLidar(fresh_turn()), FakeBase(knows=False)
+    wheels = Drive(max_speed=0.3, max_turn_rate=1.0, kind="differential")
+    robot = RealRobot(lidar, base, 0.01, 3, wheels, warn=said.append, scan_timeout=0.2)
+
+    def step() -> np.ndarray:
+        lidar.turn = fresh_turn()
+        robot.observe()
+        robot.apply(np.array([[[0.05, 0.0, 0.0]]]), 0.01)
+        return base.commands[-1]
+
+    assert robot.standing == "there is no scan that can be used"
+    began = time.monotonic()
+    while time.monotonic() < began + 0.15:
+        assert not step().any()
+        assert said == []
+    while time.monotonic() < began + 0.5:
+        assert not step().any()
+    assert said == [robot.standing]
+    assert "odometry" in robot.standing
+    base.knows = True
+    np.testing.assert_array_equal(step(), [0.05, 0.0, 0.0])
+    assert robot.standing == ""
+    # Without odometry its filter allows for all that it may have turned, and a holonomic base needs none.
+    for limits, wanted in ((wheels, False), (LIMITS, True)):
+        blind = RealRobot(lidar, FakeBase(knows=False), 0.01, 3, limits, odometry=wanted)
+        blind.observe()
+        assert blind.standing == ""
 
 
 def test_pushes_are_those_of_its_own_seed_and_small_for_a_slow_base() -> None:

@@ -17,6 +17,8 @@ from typing import Any
 import pytest
 
 PACKAGE = Path(__file__).parents[2] / "ros2" / "triform_ros"
+#: What takes the place of packages that have no wheels.
+STAND_INS = Path(__file__).parent / "stand_ins"
 #: A loaded machine may take this long for anything [s].
 PATIENCE = 60.0
 
@@ -91,6 +93,13 @@ class Ros:
         self._processes.append(Executable(name, self._environment, log, [*place, *given, *arguments]))
         return self._processes[-1]
 
+    def add_transforms(self) -> None:
+        """Give this process, and those started from now on, messages of transforms."""
+        found = find_spec("tf2_msgs")
+        if found is None or str(STAND_INS) in str(found.origin):
+            sys.path.append(str(STAND_INS))
+            self._environment["PYTHONPATH"] += os.pathsep + str(STAND_INS)
+
     def until(self, done: Callable[[], bool], what: str, patience: float = PATIENCE) -> None:
         """Listen until ``done``."""
         deadline = time.monotonic() + patience
@@ -98,6 +107,14 @@ class Ros:
             if time.monotonic() > deadline:
                 pytest.fail(f"{what} took too long: {[each.log for each in self._processes]}")
             self._executor.spin_once(timeout_sec=0.02)
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Call a service and return what it answers."""
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, f"the service {name}")
+        answer = client.call_async(request)
+        self.until(answer.done, f"the answer of {name}")
+        return answer.result()
 
     def listen(self, duration: float) -> None:
         """Listen for a while [s]."""
@@ -127,6 +144,7 @@ def ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ros]:
         pytest.skip("rclpy is missing; the extra ros has it")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    monkeypatch.setattr(sys, "path", [*sys.path, str(PACKAGE)])
     talker = Ros(tmp_path)
     yield talker
     talker.close()

@@ -25,6 +25,7 @@ STAND_INS: dict[str, dict[str, Any]] = {
         ),
         "LogInfo": lambda msg: msg,
     },
+    "launch.conditions": {"IfCondition": lambda wanted: wanted},
     "launch.launch_description_sources": {"PythonLaunchDescriptionSource": Path},
     "launch.substitutions": {"LaunchConfiguration": lambda name: SimpleNamespace(name=name, perform=lambda c: c[name])},
     "launch_ros": {},
@@ -53,24 +54,44 @@ def launched(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_one_controller_has_its_namespace_and_a_file_of_parameters_that_exist(
     launched: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arguments, (node,) = launched("controller.launch.py")
+    arguments, (node, rviz) = launched("controller.launch.py")
     assert (node.package, node.executable, node.namespace.name) == ("triform_ros", "controller", "namespace")
     assert [each.name for each in node.parameters] == ["parameters"]
-    given = yaml.safe_load(Path(arguments["parameters"]).read_text())["/**"]["ros__parameters"]
+    assert [(topic, to.name) for topic, to in node.remappings] == [("/tf_static", "tf_static")]
+    assert arguments["tf_static"] == "/tf_static"
+    assert (rviz.package, rviz.condition.name, arguments["rviz"]) == ("rviz2", "rviz", "false")
     if find_spec("rclpy") is None:
         pytest.skip("rclpy is missing; the extra ros has it")
     monkeypatch.syspath_prepend(str(PACKAGE))
-    from triform_ros.controller import PARAMETERS
+    from triform_ros.settings import Settings, parameters
 
-    defaults = {each.name: each.default for each in PARAMETERS}
-    assert {name: type(value) for name, value in given.items()} == {name: type(defaults[name]) for name in given}
+    files = sorted((PACKAGE / "config").glob("*.yaml"))
+    assert Path(arguments["parameters"]) in files
+    for file in files:
+        given = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
+        defaults = {each.name: each.default for each in parameters(given["profile"])}
+        assert {name: type(value) for name, value in given.items()} == {name: type(defaults[name]) for name in given}
+        settings = Settings({**defaults, **given})
+        settings.make_controller()
+        assert settings.robot.name == given["profile"]
+
+
+def test_rviz_shows_topics_and_namespaces_that_the_controller_has(launched: Any) -> None:
+    _, (_, rviz) = launched("controller.launch.py")
+    shown = yaml.safe_load(Path(rviz.arguments[1]).read_text())["Visualization Manager"]
+    topics = {each["Topic"]["Value"]: each for each in shown["Displays"] if "Topic" in each}
+    assert set(topics) == {"/scan", "/markers", "/map"} == {name for name, _ in rviz.remappings} - {"/tf_static"}
+    assert set(topics["/markers"]["Namespaces"]) == {"neighbours", "intended", "command", "allowed"}
 
 
 def test_a_team_is_a_bridge_and_a_controller_for_each_of_its_robots(launched: Any) -> None:
     arguments, (team,) = launched("team.launch.py")
-    bridge, *controllers = team(arguments | {"robots": "3"})
+    bridge, *controllers = team(arguments | {"robots": "3", "profile": "turtlebot4"})
     assert (bridge.package, bridge.executable) == ("triform_ros", "gazebo_bridge")
-    assert bridge.parameters == [{"simulator": "gazebo", "robots": 3, "seed": 7}]
+    assert bridge.parameters == [{"simulator": "gazebo", "robots": 3, "seed": 7, "profile": "turtlebot4"}]
+    assert [each.parameters for each in controllers] == [
+        [{"base_frame": f"robot{k}/base_link", "profile": "turtlebot4"}] for k in range(3)
+    ]
     assert [each.namespace for each in controllers] == ["robot0", "robot1", "robot2"]
     assert {(each.package, each.executable) for each in controllers} == {("triform_ros", "controller")}
 

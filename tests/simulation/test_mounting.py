@@ -12,7 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
-from triform.simulation import HARDWARE, IDEAL, ROBOMASTER_EP, Arena, Footprint, Mounting, Placement, World, cast_scans
+from triform.simulation import (
+    HARDWARE,
+    IDEAL,
+    ROBOMASTER_EP,
+    Arena,
+    Footprint,
+    Mounting,
+    Placement,
+    World,
+    cast_scans,
+    get_profile,
+)
 from triform.simulation.mounting import OUTLINE_MARGIN, read_sectors
 from triform.types import ConfigurationError, ScanConfig
 
@@ -111,7 +122,7 @@ def test_from_the_base_a_mounted_lidar_sees_what_one_at_the_centre_sees(x: float
     poses, active, arena = np.zeros((1, 1, 3)), np.ones((1, 1), bool), Arena(pillars=pillars)
     wide = replace(SCAN, range_max=2.0 + math.hypot(x, y))
     eye = cast_scans(poses, active, ROBOMASTER_EP, arena, wide, eye=(x, y))
-    seen = Placement(SCAN, Mounting(x, y)).from_base(eye)[0, 0]
+    seen = Placement(SCAN, Mounting(x, y)).from_base(eye)[0][0, 0]
     centre = cast_scans(poses, active, ROBOMASTER_EP, arena, SCAN)[0, 0]
     # Of a pillar the mounted LiDAR sees other ends of the near side, up to its parallax there.
     around = np.isfinite(centre)
@@ -142,3 +153,16 @@ def test_a_world_with_a_mounting_shows_what_its_driver_would_show(profile: objec
     assert (np.isfinite(plain) != np.isfinite(aside)).mean() < 0.05
     both = np.isfinite(plain) & np.isfinite(aside)
     assert np.median(np.abs(plain[both] - aside[both])) < 0.03
+
+
+@pytest.mark.parametrize("name", ["turtlebot4", "turtlebot3-burger-lds01", "ideal"])
+def test_views_from_the_lidar_are_what_placement_makes_views_from_the_base_of(name: str) -> None:
+    poses = np.array([[[0.0, 0.0, 0.3], [1.0, 0.1, 2.0], [0.2, 0.9, -1.0]]])
+    profile = get_profile(name)
+    raw, placed = (World(poses, profile, seeds=[4], from_lidar=each) for each in (True, False))
+    for world in (raw, placed):
+        world.apply(np.zeros((1, 3, 3)), 1.0)
+    measured, scans = raw.observe().scans, placed.observe().scans
+    assert measured.config == profile.from_lidar
+    placement = Placement(profile.lidar.scan, profile.mounting)
+    np.testing.assert_array_equal(placement.from_base(placement.masked(measured.ranges))[0], scans.ranges)

@@ -69,7 +69,7 @@ def test_names_are_looked_up() -> None:
         get_profile("perfect")
     assert get_arena("room-6").walls.shape == (4, 4)
     assert get_arena("pillars").pillars.shape == (4, 3)
-    with pytest.raises(TriformError, match="there are open, room-6, pillars and your own"):
+    with pytest.raises(TriformError, match="there are open, room-6, pillars, living-room and your own"):
         get_arena("maze")
 
 

@@ -31,6 +31,7 @@ from triform.simulation import (
     sample_starts,
     steer,
 )
+from triform.simulation.intensity import Brightness
 from triform.simulators.chassis import BASES, MAX_ACCELERATION, MAX_TURN_ACCELERATION, braked
 from triform.simulators.mujoco import MujocoError, MujocoTeam
 from triform.simulators.mujoco.model import write_model
@@ -408,3 +409,21 @@ def test_the_acceleration_of_robots_with_a_mass_has_a_limit():
     np.testing.assert_allclose(
         team.velocities[0, 0], [0.1 * MAX_ACCELERATION, 0.0, 0.1 * MAX_TURN_ACCELERATION], atol=1e-12
     )
+
+
+@pytest.mark.parametrize("profile", [IDEAL, HARDWARE], ids=["ideal", "hardware"])
+def test_intensities_are_those_of_the_built_in_world(profile):
+    lidar = replace(profile.lidar, min_intensity=230.0, brightness=Brightness(noise=0.0, falloff=10.0), noise=())
+    robot = replace(profile, lidar=replace(lidar, dropout=0.0, scan=replace(lidar.scan, range_min=0.1)))
+    pillars = np.array([[0.0, 0.8, 0.15], [-0.9, 0.2, 0.2]])
+    arena = Arena("three", np.array([[-2.0, -1.0, 2.0, -1.2]]), pillars, pillar_intensities=[50.0, np.nan])
+    poses = np.array([[[0.0, 0.0, 0.3], [0.9, 0.1, 2.0], [-0.4, -0.7, -1.0]]])
+    teams = [MujocoTeam(poses, robot, arena, [7]), World(poses, robot, arena, [7])]
+    for team in teams:
+        for _ in range(6):
+            team.apply(np.zeros((1, 3, 3)), 0.125)
+    found, expected = (team.observe().scans for team in teams)
+    # Walls are 1 mm thick there, and rays at rims may miss.
+    differs = ~(np.abs(found.intensities - expected.intensities) < 0.1)
+    assert differs.mean() < 0.01
+    assert len(np.unique(expected.intensities.round(-1))) > 5

@@ -4,49 +4,64 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
+import time
 import zlib
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
+import numpy as np
+import rclpy.parameter
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
+from std_srvs.srv import SetBool
 
-from triform.control import ControllerSpec, SafetyFilter, SafetySettings, drive, make_controller, weights_folder
-from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint
-from triform.policy import read_spec
-from triform.robots.real import RealRobot
-from triform.simulation import Drive, Mounting, Placement, read_sectors
-from triform.types import SENSING_RANGE, Controller, MapConfig, ScanConfig, TriformError, View, require
+from triform.control import SafetyFilter, drive
+from triform.robots.real import RealRobot, Step
+from triform.simulation import Mounting, read_sectors
+from triform.types import Controller, FloatArray, TriformError, View
+from triform_ros.diagnostics import Diagnostics
 from triform_ros.executable import run_executable
-from triform_ros.parameters import Parameter, declare
+from triform_ros.markers import Intended, MarkerTopic
+from triform_ros.parameters import declare, given_names
 from triform_ros.robot import MapTopic, ScanTopic, TwistTopic
+from triform_ros.settings import MOUNTING, Settings, parameters
+from triform_ros.static_frames import StaticFrames, has_transforms
 
-PARAMETERS = (
-    Parameter("distance", 1.0, "Prescribed neighbour distance d*, the same on all robots [m]", 0.05, 4.0),
-    Parameter("controller", "policy", "One that needs nothing but scans: policy, scan-pipeline, scan-triangulating"),
-    Parameter("weights", "", "Weights of policy: a name of shipped ones or a folder; empty for the default ones"),
-    Parameter("control_rate", 10.0, "Commands per second [Hz]", 1.0, 100.0),
-    Parameter("scan_timeout", 0.5, "The robot stands while its newest scan is older than this [s]", 0.05, 5.0),
-    Parameter("rays", 450, "Rays of the full turn that scans are brought onto; policies learned with 450", 90, 7200),
-    Parameter("mounting", 0.0, "Angle of the LiDAR's x axis in the robot's frame [rad]", -math.pi, math.pi),
-    Parameter("lidar_position", [0.0, 0.0], "Where the LiDAR is on the robot, forward and left of its centre [m]"),
-    Parameter("upside_down", False, "Whether the LiDAR hangs upside down"),
-    Parameter("blind_sectors", "", "Directions in which only the robot itself is, as FROM:TO in degrees, with spaces"),
-    Parameter("scan_frame", "", "Frame that scans must be in; empty for any"),
-    Parameter("base_frame", "base_link", "The robot's own frame, in which commands and maps are"),
-    Parameter("use_odom", False, "Whether to allow for the way since a scan, which odometry on odom tells"),
-    Parameter("max_speed", 0.5, "Largest speed [m/s]", 0.01, 3.5),
-    Parameter("max_turn_rate", 1.0, "Largest turn rate [rad/s]", 0.01, 10.0),
-    Parameter("max_acceleration", 2.0, "Largest acceleration; braking is never delayed [m/s^2]", 0.05, 100.0),
-    Parameter("max_turn_acceleration", 5.0, "The same for turning [rad/s^2]", 0.05, 100.0),
-    Parameter("lag", 0.0, "Time constant of the base; with use_odom, where it would come to rest counts [s]", 0.0, 2.0),
-    Parameter("stamped", False, "Whether commands are TwistStamped and not Twist"),
-    Parameter("publish_map", False, "Whether to publish the map that the policy sees on map"),
-    Parameter("guard", True, "Whether the robot is kept from driving into what its scan shows"),
-    Parameter("reaction", 0.4, "Greatest age of a measurement on which a command rests, for the guard [s]", 0.05, 5.0),
-    Parameter("footprint", list(ROBOMASTER_EP_SIZE), "Length and width of the robots, or one diameter [m]"),
-    Parameter("seed", 0, "Of the exploration noise; the node's full name goes in too", 0, 2**31 - 1),
-)
+
+class _Changed(Exception):  # noqa: N818
+    """A parameter has changed, and the robot goes on with others."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What drives a robot until a parameter changes.
+
+    Attributes:
+        settings: What the parameters say.
+        intended: The controller.
+        controller: The same behind its safety filter, if the parameters want one.
+    """
+
+    settings: Settings
+    intended: Intended
+    controller: Controller[View]
+
+    @classmethod
+    def of(cls, settings: Settings, before: Plan | None = None) -> Plan:
+        """Make what the settings want, with the controller of before if nothing that it knows has changed.
+
+        Raises:
+            TriformError: The controller cannot be made.
+        """
+        known = ("distance", "min_intensity")
+        if before is not None and all(before.settings.given[name] == settings.given[name] for name in known):
+            intended = before.intended
+        else:
+            intended = Intended(settings.make_controller())
+        guard = settings.given["guard"]
+        return cls(settings, intended, SafetyFilter(intended, settings.filter) if guard else intended)
 
 
 class Controlled:
@@ -59,43 +74,44 @@ class Controlled:
             TriformError: A parameter cannot be used.
         """
         self.node = node
-        given = declare(node, PARAMETERS)
-        outline = given["footprint"]
-        require(len(outline) in (1, 2), f"footprint has {len(outline)} numbers; length and width, or a diameter, do")
-        self._footprint = outline[0] if len(outline) == 1 else (outline[0], outline[1])
-        scan = ScanConfig(rays=given["rays"], range_max=SENSING_RANGE * given["distance"])
-        mounting = _mounting(given)
-        limits = Drive(**{name: given[name] for name in given if name.startswith("max_")})
-        period = 1 / given["control_rate"]
-        self._controller = self._make_controller(given)
-        self._scans = ScanTopic(
-            node, replace(scan, range_max=scan.range_max + mounting.offset), mounting, given["scan_frame"]
+        names = given_names(node)
+        profile = node.get_parameter("profile").value if "profile" in names else ""
+        given = declare(node, parameters(profile))
+        settings = Settings(given)
+        self._plan, self._planning = Plan.of(settings), threading.Lock()
+        # Robots that share their seed, as those of one parameter file do, differ in their names.
+        self._seed = (given["seed"] << 32) + zlib.crc32(node.get_fully_qualified_name().encode())
+        self._mounting_is_given = bool(names & MOUNTING)
+        robot, frame = settings.robot, given["base_frame"]
+        self._scans = ScanTopic(node, given["scan_frame"])
+        self._wheels = TwistTopic(
+            node, frame, given["stamped"], robot.odometry, settings.command_limits, robot.control_period
         )
-        self._wheels = TwistTopic(node, given["base_frame"], given["stamped"], given["use_odom"], limits, period)
-        maps = _map_topic(node, given, scan) if given["publish_map"] else None
-        self._robot = RealRobot(
-            self._scans,
-            self._wheels,
-            period,
-            # Robots that share their seed, as those of one parameter file do, differ in their names.
-            (given["seed"] << 32) + zlib.crc32(node.get_fully_qualified_name().encode()),
-            # The limits of acceleration are those of commands, and braking has none.
-            replace(limits, max_acceleration=math.inf, max_turn_acceleration=math.inf, lag=given["lag"]),
-            placement=Placement(scan, mounting, kernel_footprint(self._footprint)),
-            odometry=given["use_odom"],
-            scan_timeout=given["scan_timeout"],
-            on_sent=None if maps is None else maps.publish,
-            warn=node.get_logger().warning,
-        )
+        self._wheels.enabled = given["enabled"]
+        self._maps = MapTopic(node, frame)
+        self._markers = MarkerTopic(node, frame)
+        self._diagnostics = Diagnostics(node, robot.name, self._scans, self._wheels)
+        node.add_on_set_parameters_callback(self._set)
+        node.create_service(SetBool, "~/enable", self._enable)
 
     def run(self, check: Callable[[], None]) -> None:
         """Drive until an exception ends it, as that of ``check`` between two commands.
 
         Raises:
-            TriformError: ROS has been shut down, or scans do not fit the controller.
+            TriformError: ROS has been shut down, scans do not fit the controller, or the LiDAR is tilted.
         """
-        self.node.get_logger().info(f"driving at {1 / self._robot.control_period:g} Hz")
-        drive(self._robot, self._controller, math.inf, lambda *_: check())
+        self._mount(check)
+        robot, log = self._plan.settings.robot, self.node.get_logger()
+        kind = f"a {robot.drive.kind} base" + (f" as in the profile {robot.name!r}" if robot.name else "")
+        log.info(
+            f"driving {kind} at {1 / robot.control_period:g} Hz; the safety filter's reaction is "
+            f"{self._plan.settings.filter.reaction:.2f} s"
+        )
+        if not self._wheels.enabled:
+            log.info("the robot is disabled: its commands are zero until ~/enable or the parameter enabled says true")
+        while True:
+            with suppress(_Changed):
+                self._drive(self._plan, check)
 
     def stop(self) -> None:
         """Publish the last command, zero, and say what was received."""
@@ -103,37 +119,116 @@ class Controlled:
         scans = self._scans
         self.node.get_logger().info(
             f"received {scans.received} scans, refused {scans.refused}, lost {scans.lost}, "
-            f"{self._robot.late_ticks} late commands"
+            f"{self._diagnostics.late} late commands"
         )
 
-    def _make_controller(self, given: dict[str, Any]) -> Controller[View]:
-        name, weights = given["controller"], given["weights"]
-        spec = ControllerSpec.parse(f"{name}:{weights}" if weights else name)
-        controller = make_controller(spec, given["distance"], footprint=self._footprint)
-        if controller.privileged:
-            raise TriformError(
-                f"the controller {given['controller']!r} needs everybody's true pose, which no robot knows; "
-                "policy, scan-pipeline and scan-triangulating need nothing but scans"
+    def _drive(self, plan: Plan, check: Callable[[], None]) -> None:
+        """Drive until a parameter changes.
+
+        Raises:
+            _Changed: One has.
+            TriformError: As ``run``.
+        """
+        settings, given = plan.settings, plan.settings.given
+        robot = settings.robot
+        if given["publish_map"]:
+            self._maps.show(*settings.policy_map)
+
+        def note(step: Step) -> None:
+            self._diagnostics.note(step, real.standing)
+            if given["publish_map"]:
+                self._maps.publish(settings.seen(step.view))
+            self._markers.publish(step, plan.intended.last, settings)
+
+        def checked(view: View, commands: FloatArray) -> None:  # noqa: ARG001
+            check()
+            if self._plan is not plan:
+                raise _Changed
+
+        self._scans.place(robot)
+        self._wheels.limit(settings.command_limits)
+        real = RealRobot(
+            self._scans,
+            self._wheels,
+            robot.control_period,
+            self._seed,
+            robot.drive,
+            placement=settings.placement,
+            odometry=robot.odometry,
+            scan_timeout=given["scan_timeout"],
+            on_sent=note,
+            warn=self.node.get_logger().warning,
+        )
+        drive(real, plan.controller, math.inf, checked)
+
+    def _mount(self, check: Callable[[], None]) -> None:
+        """Find out how the LiDAR is mounted, while the robot stands.
+
+        Raises:
+            TriformError: ROS has been shut down, or the LiDAR is tilted.
+        """
+        settings, log = self._plan.settings, self.node.get_logger()
+        source = "from the parameters"
+        found = None
+        if not self._mounting_is_given:
+            source = (
+                f"as in the profile {settings.robot.name!r}" if settings.robot.name else "as the parameters have it"
             )
-        if not given["guard"]:
-            return controller
-        return SafetyFilter(
-            controller, SafetySettings(self._footprint, reaction=given["reaction"], max_speed=given["max_speed"])
+            if has_transforms():
+                found = self._look_up(check)
+            else:
+                log.info("there is no package tf2_msgs: /tf_static cannot say how the LiDAR is mounted")
+        if found is not None:
+            source = "by /tf_static"
+            with self._planning:
+                self._plan = Plan.of(replace(self._plan.settings, found=found), self._plan)
+        mounting = self._plan.settings.robot.mounting
+        log.info(
+            f"the LiDAR is {mounting.x:.3f} m ahead and {mounting.y:.3f} m left of the robot's centre, turned by "
+            f"{math.degrees(mounting.yaw):.0f} degrees, {'upright' if mounting.upright else 'upside down'}, {source}"
         )
 
+    def _look_up(self, check: Callable[[], None]) -> Mounting | None:
+        """Wait for a scan and the transforms to its frame; ``None`` if they do not come in time."""
+        given = self._plan.settings.given
+        base, timeout, sectors = given["base_frame"], given["tf_timeout"], read_sectors(given["blind_sectors"])
+        frames, deadline = StaticFrames(self.node), math.inf
+        mounting = None
+        while mounting is None and time.monotonic() < deadline:
+            check()
+            self._wheels.drive(np.zeros(3))
+            time.sleep(self._plan.settings.robot.control_period)
+            frame = self._scans.seen_frame
+            if frame is not None:
+                self._diagnostics.waiting = f"waiting for the transform from {base} to {frame} on /tf_static"
+                deadline = min(deadline, time.monotonic() + timeout)
+                mounting = frames.mounting(base, frame, sectors)
+        frames.close()
+        if mounting is None:
+            self.node.get_logger().warning(
+                f"/tf_static has not said within {timeout:g} s where {self._scans.seen_frame!r} is in {base!r}"
+            )
+        return mounting
 
-def _mounting(given: dict[str, Any]) -> Mounting:
-    position = given["lidar_position"]
-    require(len(position) == 2, f"lidar_position has {len(position)} numbers; forward and left of the centre, two, do")
-    return Mounting(*position, given["mounting"], not given["upside_down"], read_sectors(given["blind_sectors"]))
+    def _set(self, changed: Sequence[rclpy.parameter.Parameter]) -> SetParametersResult:
+        """Take new values of parameters, or refuse them in a sentence; called by the thread that listens."""
+        values = {each.name: each.value for each in changed}
+        with self._planning:
+            before = self._plan.settings
+            try:
+                if set(values) - {"enabled"}:
+                    self._plan = Plan.of(replace(before, given={**before.given, **values}), self._plan)
+            except TriformError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        self._wheels.enabled = values.get("enabled", self._wheels.enabled)
+        return SetParametersResult(successful=True)
 
-
-def _map_topic(node: Node, given: dict[str, Any], scan: ScanConfig) -> MapTopic:
-    """The topic of the map that the policy sees; that of the paper, scaled to d*, if another controller drives."""
-    used, config = scan, replace(MapConfig(), cell=MapConfig().cell * given["distance"])
-    if given["controller"] == "policy":
-        used, config = read_spec(weights_folder(given["weights"] or None)).views(scan, given["distance"])
-    return MapTopic(node, given["base_frame"], used.range_max, config)
+    def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Let the robot drive, or make it stand."""
+        wanted = rclpy.parameter.Parameter("enabled", value=request.data)
+        result = self.node.set_parameters([wanted])[0]
+        response.success, response.message = result.successful, result.reason or f"enabled: {request.data}"
+        return response
 
 
 def main(args: list[str] | None = None) -> int:

@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Quaternion, Twist, TwistStamped
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Twist, TwistStamped, Vector3
 from nav_msgs.msg import OccupancyGrid, Odometry
 from sensor_msgs.msg import LaserScan as LaserScanMessage
 
 from triform.robots.laser_scan import LaserScan
+from triform.simulation import Mounting
 from triform.types import FloatArray, MapArray, MapConfig, RangeArray, ScanConfig
 
 
@@ -28,21 +29,57 @@ def laser_scan(message: LaserScanMessage) -> LaserScan:
         message.angle_increment,
         message.range_min,
         message.range_max,
+        np.array(message.intensities, dtype=np.float32),
     )
 
 
-def scan_message(ranges: RangeArray, config: ScanConfig, scan_time: float, rolling: bool) -> LaserScanMessage:
-    """Return the message of a full turn, ranges (R,), that took ``scan_time`` [s]; stamp and frame are left empty."""
+def scan_message(
+    ranges: RangeArray,
+    intensities: RangeArray | None,
+    config: ScanConfig,
+    mounting: Mounting,
+    scan_time: float,
+    rolling: bool,
+) -> LaserScanMessage:
+    """Return the message of a full turn as a LiDAR's driver sends it, in the LiDAR's frame; stamp and frame are empty.
+
+    Args:
+        ranges: Ranges from the LiDAR, shape (R,) [m].
+        intensities: How bright the returns are, shape (R,); ``None`` if the LiDAR does not say.
+        config: The directions of its rays in the base's frame, and limits of range.
+        mounting: How the LiDAR is mounted.
+        scan_time: Time of the turn [s].
+        rolling: Whether rays are measured one after another, and not at once.
+    """
+    first, last = (mounting.direction * (angle - mounting.yaw) for angle in (config.angle_min, config.angles[-1]))
     return LaserScanMessage(
-        angle_min=float(config.angle_min),
-        angle_max=float(config.angles[-1]),
-        angle_increment=config.angle_increment,
+        angle_min=float(first),
+        angle_max=float(last),
+        angle_increment=mounting.direction * config.angle_increment,
         time_increment=scan_time / config.rays if rolling else 0.0,
         scan_time=scan_time,
         range_min=config.range_min,
         range_max=config.range_max,
-        ranges=array.array("f", np.asarray(ranges, dtype=np.float32).tobytes()),
+        ranges=_floats(ranges),
+        intensities=_floats([] if intensities is None else intensities),
     )
+
+
+def numbers_of(transform: Transform) -> tuple[list[float], list[float]]:
+    """Return translation [m] and quaternion (x, y, z, w) of a transform."""
+    place, turn = transform.translation, transform.rotation
+    return [place.x, place.y, place.z], [turn.x, turn.y, turn.z, turn.w]
+
+
+def mounting_transform(mounting: Mounting, base: str, lidar: str) -> TransformStamped:
+    """Return the transform of a mounted LiDAR's frame; its stamp is left empty."""
+    cos, sin = math.cos(mounting.yaw / 2), math.sin(mounting.yaw / 2)
+    # Upside down is half a turn about the axis that the LiDAR's zero has.
+    turn = Quaternion(z=sin, w=cos) if mounting.upright else Quaternion(x=cos, y=sin, w=0.0)
+    message = TransformStamped(child_frame_id=lidar)
+    message.header.frame_id = base
+    message.transform = Transform(translation=Vector3(x=mounting.x, y=mounting.y), rotation=turn)
+    return message
 
 
 def twist_of(message: Twist | TwistStamped) -> FloatArray:
@@ -81,6 +118,11 @@ def map_message(occupied: MapArray, config: MapConfig) -> OccupancyGrid:
     message.info.origin.position.x = message.info.origin.position.y = -config.half_extent
     message.data = array.array("b", (100 * occupied.T).astype(np.int8).tobytes())
     return message
+
+
+def _floats(values: RangeArray | list[float]) -> array.array[float]:
+    """Return values as a message takes them."""
+    return array.array("f", np.asarray(values, dtype=np.float32).tobytes())
 
 
 def seconds(stamp: Time) -> float:

@@ -1,4 +1,4 @@
-"""Parameters of the executables: declared once, with descriptions and ranges, and read at the start."""
+"""Parameters of the executables: declared once, with descriptions and ranges."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ class Parameter:
         description: What it is, with its unit.
         low: Smallest number that is allowed.
         high: Largest number that is allowed.
+        live: Whether it may change while the node runs.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Parameter:
     description: str
     low: float | None = None
     high: float | None = None
+    live: bool = False
 
     def declare(self, node: Node) -> Any:
         """Declare it and return its value.
@@ -39,7 +41,7 @@ class Parameter:
         Raises:
             ConfigurationError: The value has another type or is out of range.
         """
-        descriptor = ParameterDescriptor(description=self.description, read_only=True)
+        descriptor = ParameterDescriptor(description=self.description, read_only=not self.live)
         low, high = self.low, self.high
         allowed = ""
         if low is not None and high is not None:
@@ -60,6 +62,11 @@ class Parameter:
         return value
 
 
+def given_names(node: Node) -> frozenset[str]:
+    """Return the names of the parameters that the node was started with, before any is declared."""
+    return frozenset(node.get_parameters_by_prefix(""))
+
+
 def declare(node: Node, parameters: tuple[Parameter, ...]) -> dict[str, Any]:
     """Declare all parameters of an executable and return their values by name.
 
@@ -71,7 +78,7 @@ def declare(node: Node, parameters: tuple[Parameter, ...]) -> dict[str, Any]:
         ConfigurationError: A value has another type or is out of range, or there is no such parameter.
     """
     known = {each.name for each in parameters}
-    for name in node.get_parameters_by_prefix(""):
+    for name in given_names(node):
         if name in known:
             # Given values come back when it is declared with its type and range.
             node.undeclare_parameter(name)

@@ -12,6 +12,7 @@ from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan as LaserScanMessage
 
@@ -19,13 +20,14 @@ from triform.perception import MapRules, map_workspace, occupied_into
 from triform.robots.laser_scan import Turn
 from triform.robots.limits import limit_acceleration
 from triform.robots.odometry import Track
-from triform.robots.real import Step
-from triform.simulation import Drive, Mounting
+from triform.simulation import Drive, Mounting, Profile
 from triform.types import FloatArray, MapArray, MapConfig, ScanConfig, TriformError, View
 from triform_ros.conversions import fill_twist, laser_scan, map_message, pose_of, seconds
 
 #: A repeated message is shown this often at most [s].
 _THROTTLE = 5.0
+#: Who listens to commands is looked up once in this time [s], and so many times before the robot complains of nobody.
+_LISTENERS_PERIOD, _PATIENT_CHECKS = 1.0, 10
 #: How long the last command may take to be acknowledged [s].
 _LAST_COMMAND = 1.0
 
@@ -43,19 +45,27 @@ def host_time(node: Node, stamp: Time) -> float:
 class ScanTopic:
     """The LiDAR behind the topic ``scan``.
 
-    A scan that cannot be used takes the place of the one before: the robot then has none, and stands.
+    A scan that cannot be used takes the place of the one before: the robot then has none, and stands. So it does until
+    it is known how the LiDAR is mounted.
+
+    Attributes:
+        seen_frame: Frame of the newest scan; ``None`` before the first one.
+        received: Scans that came.
+        refused: Those of them that could not be used.
+        lost: Scans that were sent and did not come, as far as ROS knows.
     """
 
-    def __init__(self, node: Node, scan: ScanConfig, mounting: Mounting, frame: str) -> None:
+    def __init__(self, node: Node, frame: str) -> None:
         """Subscribe.
 
         Args:
             node: Where the topic is.
-            scan: Shape of the scans that are wanted, with the directions of the robot's frame.
-            mounting: How the LiDAR is mounted.
             frame: Frame that scans must be in; any if empty.
         """
-        self._node, self._scan, self._mounting, self._frame = node, scan, mounting, frame
+        self._node, self._frame = node, frame
+        self._scan, self._mounting = ScanConfig(), Mounting()
+        self._placed = self._needs_intensities = False
+        self.seen_frame: str | None = None
         self._turn: Turn | None = None
         self._told_coverage = False
         self.received = self.refused = self.lost = 0
@@ -72,12 +82,23 @@ class ScanTopic:
         """Shape of its turns."""
         return self._scan
 
+    def place(self, robot: Profile) -> None:
+        """Say how the LiDAR is mounted, and how far and fine its scans are to be."""
+        self._scan, self._mounting, self._placed = robot.from_lidar, robot.mounting, True
+        self._needs_intensities = robot.lidar.min_intensity is not None
+
     def latest(self) -> Turn | None:
         """Return the newest scan; ``None`` before the first one, and if it cannot be used."""
-        return self._turn
+        turn = self._turn
+        # One from before min_intensity was set may have none.
+        is_dark = turn is not None and turn.intensities is None
+        return None if is_dark and self._needs_intensities else turn
 
     def _take(self, message: LaserScanMessage) -> None:
         self.received += 1
+        self.seen_frame = message.header.frame_id
+        if not self._placed:
+            return
         try:
             self._turn = self._read(message)
         except TriformError as error:
@@ -95,19 +116,26 @@ class ScanTopic:
         turn = message.time_increment * (len(message.ranges) - 1)
         if not (math.isfinite(turn) and turn >= 0):
             raise TriformError(f"time_increment is {message.time_increment} s; it must be finite and not negative")
-        ranges = scan.on_grid(self._scan)
+        ranges, intensities = scan.on_grid(self._scan), scan.intensities_on_grid(self._scan)
+        if self._needs_intensities and intensities is None:
+            raise TriformError("it says nothing about intensities, which min_intensity needs")
         if scan.coverage < 0.99 and not self._told_coverage:
             self._told_coverage = True
             self._node.get_logger().info(f"scans cover {360 * scan.coverage:.0f} of 360 degrees; the rest is not seen")
         started = host_time(self._node, message.header.stamp)
-        return Turn(ranges, started, min(started + turn, time.monotonic()))
+        return Turn(ranges, started, min(started + turn, time.monotonic()), intensities)
 
     def _count_lost(self, lost: QoSMessageLostInfo) -> None:
         self.lost += lost.total_count_change
 
 
 class TwistTopic:
-    """The wheels behind the topic ``cmd_vel``, and their odometry on the topic ``odom``."""
+    """The wheels behind the topic ``cmd_vel``, and their odometry on the topic ``odom``.
+
+    Attributes:
+        enabled: Whether commands are sent as they are; they are zero otherwise.
+        listeners: Subscriptions to ``cmd_vel`` that take its type.
+    """
 
     def __init__(self, node: Node, frame: str, stamped: bool, odometry: bool, limits: Drive, period: float) -> None:
         """Advertise, and subscribe if odometry is wanted.
@@ -121,23 +149,35 @@ class TwistTopic:
             period: Time between two commands [s].
         """
         self._node, self._frame, self._stamped = node, frame, stamped
-        self._limits, self._period = limits, period
+        self._period = period
         self._command: FloatArray = np.zeros(3)
-        speed = min(limits.max_speed, math.sqrt(2) * limits.max_axis_speed)
-        self._history = Track([speed, speed, limits.max_turn_rate], angle=True)
+        self.enabled = True
+        self.listeners = self._checks = 0
+        self._fastest: list[float] = []
+        self.limit(limits)
         self._publisher = node.create_publisher(TwistStamped if stamped else Twist, "cmd_vel", 1)
+        node.create_timer(_LISTENERS_PERIOD, self._count_listeners)
         if odometry:
             node.create_subscription(Odometry, "odom", self._note, qos_profile_sensor_data)
 
+    def limit(self, limits: Drive) -> None:
+        """Say what the base can do from now on, and how fast commands may change."""
+        speed = min(limits.max_speed, math.sqrt(2) * limits.max_axis_speed)
+        fastest = [speed, speed, limits.max_turn_rate]
+        if fastest != self._fastest:
+            self._fastest, self._history = fastest, Track(fastest, angle=True)
+        self._limits = limits
+
     def drive(self, command: FloatArray) -> None:
-        """Publish a body twist, shape (3,), as far as the accelerations allow.
+        """Publish a body twist, shape (3,), as far as the accelerations allow; zero unless the robot is enabled.
 
         Raises:
             TriformError: ROS has been shut down.
         """
         if not self._node.context.ok():
             raise TriformError("ROS has been shut down; no command can be sent")
-        self._command = limit_acceleration(command, self._command, self._limits, self._period)
+        wanted = command if self.enabled else np.zeros(3)
+        self._command = limit_acceleration(wanted, self._command, self._limits, self._period)
         self._publish()
 
     def stop(self) -> None:
@@ -162,6 +202,23 @@ class TwistTopic:
             fill_twist(message, self._command)
         self._publisher.publish(message)
 
+    def _count_listeners(self) -> None:
+        """Count who takes the commands, and warn once if nobody does."""
+        topic, own = self._publisher.topic_name, f"geometry_msgs/msg/{self._publisher.msg_type.__name__}"
+        types = [each.topic_type for each in self._node.get_subscriptions_info_by_topic(topic)]
+        self.listeners = types.count(own)
+        if self.listeners or self._checks > _PATIENT_CHECKS:
+            return
+        self._checks += 1
+        others = sorted(set(types))
+        if others or self._checks > _PATIENT_CHECKS:
+            self._checks = _PATIENT_CHECKS + 1
+            whom = f"who listens takes {', '.join(others)}: set stamped to {str(not self._stamped).lower()}"
+            self._node.get_logger().warning(
+                f"nobody takes the commands on {topic}, which are {own}; "
+                + (whom if others else "nobody listens there: see that the robot's driver is in this namespace")
+            )
+
     def _note(self, message: Odometry) -> None:
         self._history.add(host_time(self._node, message.header.stamp), pose_of(message))
 
@@ -169,24 +226,27 @@ class TwistTopic:
 class MapTopic:
     """The occupancy map that the policy sees, on the topic ``map``, in the robot's frame."""
 
-    def __init__(self, node: Node, frame: str, reach: float, config: MapConfig) -> None:
-        """Advertise.
+    def __init__(self, node: Node, frame: str) -> None:
+        """Prepare for maps in a frame, the robot's."""
+        self._node, self._frame = node, frame
+        self._publisher: Publisher | None = None
+
+    def show(self, reach: float, config: MapConfig) -> None:
+        """Advertise, and say what the maps are.
 
         Args:
-            node: Where the topic is.
-            frame: The robot's frame.
             reach: Farther returns are not drawn [m].
             config: The map.
         """
-        self._node, self._frame, self._reach, self._config = node, frame, reach, config
+        self._reach, self._config = reach, config
         self._workspace = map_workspace(config.size)
-        self._publisher = node.create_publisher(OccupancyGrid, "map", 1)
+        self._publisher = self._publisher or self._node.create_publisher(OccupancyGrid, "map", 1)
 
-    def publish(self, step: Step) -> None:
-        """Publish the map of a control period, if anybody listens."""
-        if self._publisher.get_subscription_count() == 0:
+    def publish(self, view: View) -> None:
+        """Publish the map of what the policy sees, if anybody listens."""
+        if self._publisher is None or self._publisher.get_subscription_count() == 0:
             return
-        message = map_message(self._occupied(step.view), self._config)
+        message = map_message(self._occupied(view), self._config)
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.header.frame_id = self._frame
         self._publisher.publish(message)

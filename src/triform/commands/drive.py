@@ -17,11 +17,11 @@ class Drive(DriveConfig):
 
     GROUPS: ClassVar[dict[str, tuple[str, ...]]] = {
         "body": ("profile", "footprint", "max_speed", "max_turn_rate"),
-        "lidar": ("lidar", "lidar_model", "mounting", "lidar_position", "upside_down", "blind_sector"),
+        "lidar": ("lidar", "lidar_model", "mounting", "lidar_position", "upside_down", "blind_sector", "min_intensity"),
         "base": ("address", "usb", "local_address", "watchdog", "odometry"),
         "recording": ("record", "robot", "start_pose"),
     }
 
     def run(self, console: Console) -> None:
         """Drive, show how it goes, and where the time went."""
-        run_drive(self, DriveScreen(console, self.outline, self.dry_run))
+        run_drive(self, DriveScreen(console, self.outline, self.dry_run, self.threshold))

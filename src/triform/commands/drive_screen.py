@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from triform.commands.screen import Screen
+from triform.control import bright_returns
 from triform.control.detection import detect_robots
 from triform.robots.latency import PARTS
 from triform.robots.real import Step
@@ -23,21 +24,28 @@ from triform.robots.real import Step
 class DriveScreen(Screen):
     """A ``DriveListener`` on a console."""
 
-    def __init__(self, console: Console, footprint: tuple[float, float] | float, dry_run: bool) -> None:
+    def __init__(
+        self,
+        console: Console,
+        footprint: tuple[float, float] | float,
+        dry_run: bool,
+        min_intensity: float | None = None,
+    ) -> None:
         """Show things on a console.
 
         Args:
             console: Where to.
             footprint: Length and width of the robots, or the diameter of a circle, by which neighbours are counted [m].
             dry_run: Whether commands are shown only.
+            min_intensity: Dimmer returns are no neighbours; ``None`` if all count.
         """
         super().__init__(console)
-        self._footprint, self._dry_run = footprint, dry_run
+        self._footprint, self._dry_run, self._least = footprint, dry_run, min_intensity
 
     @contextmanager
     def driving(self) -> Iterator[Callable[[Step], None]]:
         """Show a line about the last step while the block runs."""
-        with StatusLine(self, self._footprint, self._dry_run) as line:
+        with StatusLine(self, self._footprint, self._dry_run, self._least) as line:
             yield line.show
 
     def ended(self, summary: dict[str, Any]) -> None:
@@ -60,16 +68,19 @@ class DriveScreen(Screen):
 class StatusLine:
     """One line about the robot: four times a second on a terminal, else a new one every second."""
 
-    def __init__(self, screen: Screen, footprint: tuple[float, float] | float, dry_run: bool) -> None:
+    def __init__(
+        self, screen: Screen, footprint: tuple[float, float] | float, dry_run: bool, min_intensity: float | None = None
+    ) -> None:
         """Prepare the line.
 
         Args:
             screen: Where to.
             footprint: Length and width of the robots, or the diameter of a circle, by which neighbours are counted [m].
             dry_run: Whether commands are shown only.
+            min_intensity: Dimmer returns are no neighbours; ``None`` if all count.
         """
         self._screen = screen
-        self._footprint = footprint
+        self._footprint, self._least = footprint, min_intensity
         self._verb = "would send" if dry_run else "sent"
         self._live: Live | None = None
         self._period = 1.0
@@ -119,7 +130,8 @@ class StatusLine:
         elif step.blind:
             sight = f"no fresh scan for {step.scan_age:.1f} s"
         else:
-            neighbours = int(detect_robots(step.view.scans, self._footprint)[1].sum())
+            scans = step.view.scans if self._least is None else bright_returns(step.view.scans, self._least)
+            neighbours = int(detect_robots(scans, self._footprint)[1].sum())
             sight = (
                 f"scan {1000 * step.scan_age:.0f} ms old, on the wheels after "
                 f"{1000 * step.latency:.0f} ms, neighbours {neighbours}"

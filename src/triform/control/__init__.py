@@ -2,6 +2,7 @@
 
 from triform.control.expert import EXPERTS, Expert, ExpertVariant, Springs, expert_into, expert_variant
 from triform.control.gnn import GnnController
+from triform.control.intensity import IntensityThreshold, bright_returns
 from triform.control.learned import LearnedPolicy
 from triform.control.loop import control_steps, drive
 from triform.control.mixed import MixedController
@@ -27,6 +28,7 @@ __all__ = [
     "Expert",
     "ExpertVariant",
     "GnnController",
+    "IntensityThreshold",
     "LearnedPolicy",
     "MixedController",
     "SafetyFilter",
@@ -37,6 +39,7 @@ __all__ = [
     "Teacher",
     "Triangulating",
     "TriangulatingLaw",
+    "bright_returns",
     "control_steps",
     "drive",
     "expert_into",

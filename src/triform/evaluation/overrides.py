@@ -21,6 +21,7 @@ _ALLOWED = {
     "speed_limit": (1e-3, 100, " m/s"),
     "acceleration": (1e-3, np.inf, " m/s^2"),
     "lag": (0, 60, " s"),
+    "min_intensity": (0, 1e6, ""),
 }
 #: How far a LiDAR reaches at most [m]; a robot uses 2 d* of it.
 LIDAR_REACH = 8.0
@@ -41,6 +42,8 @@ class Overrides:
         lag: Time constant of the base's first-order lag [s].
         footprint: Outline of the robots: a name such as ep, circle:0.30 (diameter) or box:0.41x0.24 [m].
         odometry: Whether robots know from their wheels how far they have come since their scans.
+        min_intensity: Intensity of a LiDAR from which a return is of a robot, because robots wear reflecting tape;
+            controllers do not see dimmer ones, and the safety filter keeps away from them.
     """
 
     range_noise: float | None = None
@@ -52,6 +55,7 @@ class Overrides:
     lag: float | None = None
     footprint: str | None = None
     odometry: bool = True
+    min_intensity: float | None = None
 
     def __post_init__(self) -> None:
         convert_fields(self)
@@ -66,7 +70,7 @@ class Overrides:
         """Return ``profile`` with these overrides, seeing as far as the prescribed ``distance`` d* needs: 2 d* [m].
 
         Raises:
-            ConfigurationError: There is no such footprint.
+            ConfigurationError: There is no such footprint, or the LiDAR measures no intensities.
         """
         noise = self.range_noise
         lidar = _given(
@@ -75,6 +79,7 @@ class Overrides:
             noise=None if noise is None else constant_noise(noise) if noise > 0 else (),
             dropout=self.dropout,
             period=None if self.scan_rate is None else 1 / self.scan_rate,
+            min_intensity=self.min_intensity,
         )
         drive = _given(profile.drive, max_speed=self.speed_limit, max_acceleration=self.acceleration, lag=self.lag)
         in_step = profile.control_period == profile.lidar.period

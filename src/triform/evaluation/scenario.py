@@ -14,13 +14,14 @@ import numpy as np
 
 from triform.control import (
     ControllerSpec,
+    IntensityThreshold,
     MixedController,
     SafetyFilter,
     control_steps,
     make_controller,
 )
 from triform.evaluation.events import Event, EventRun, run_event
-from triform.evaluation.filters import safety_settings
+from triform.evaluation.filters import team_settings
 from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
 from triform.evaluation.placement import blocked_starts
@@ -31,7 +32,6 @@ from triform.limits import require_at_most
 from triform.simulation import (
     Arena,
     Composition,
-    Drive,
     Profile,
     SimulatedTeam,
     World,
@@ -129,6 +129,11 @@ class Scenario:
         )
         if self.simulator == "gazebo":
             team.profile.require_holonomic("Gazebo")
+            require(
+                team.profile.lidar.min_intensity is None,
+                f"min_intensity is {team.profile.lidar.min_intensity}, but Gazebo's LiDARs say nothing of materials; "
+                "it goes with simulator builtin or mujoco",
+            )
         if not team.is_mixed:
             check_base(self.base, team.profile)
         object.__setattr__(self, "_team", team)
@@ -155,10 +160,12 @@ class Scenario:
         return replace(self, profile=read_kinds(self.profile)[0][0])
 
     @property
-    def drives(self) -> tuple[Drive, ...]:
-        """What the base of each kind can do; robots with a mass cannot accelerate at will."""
-        drives = [profile.drive for profile in self.team.profiles]
-        return tuple(drives if self.simulator == "builtin" else map(braked, drives))
+    def driven(self) -> tuple[Profile, ...]:
+        """The kinds of robots with what their bases can do; robots with a mass cannot accelerate at will."""
+        profiles = self.team.profiles
+        if self.simulator == "builtin":
+            return profiles
+        return tuple(replace(profile, drive=braked(profile.drive)) for profile in profiles)
 
     @property
     def surroundings(self) -> Arena:
@@ -174,6 +181,8 @@ class Scenario:
     def make_controller(self, controller: Controller[Any] | str | ControllerSpec = "policy") -> Controller[Any]:
         """Make a controller for these robots, behind the safety filter unless ``guard`` is off.
 
+        With a ``min_intensity`` it does not see what is dimmer; the filter does.
+
         Args:
             controller: The name of one, or one without its filter; one that has a filter already stays as it is.
 
@@ -186,7 +195,7 @@ class Scenario:
         everyone = first if team.is_mixed and first.privileged else None
         own = [first] + [everyone or self._make_own(controller, profile) for profile in team.profiles[1:]]
         if self.guard:
-            settings = safety_settings(team.profiles, self.drives)
+            settings = team_settings(self.driven)
             own = [
                 each if isinstance(each, SafetyFilter) else SafetyFilter(each, rules)
                 for each, rules in zip(own, settings, strict=True)
@@ -195,9 +204,15 @@ class Scenario:
 
     def _make_own(self, controller: Controller[Any] | str | ControllerSpec, profile: Profile) -> Controller[Any]:
         """Make the controller of one kind; of several, each has its own workspace for its own scans."""
+        mixed = self.team.is_mixed
         if isinstance(controller, str | ControllerSpec):
-            return make_controller(controller, self.distance, footprint=profile.footprint.size)
-        return copy.copy(controller) if self.team.is_mixed else controller
+            made = make_controller(controller, self.distance, footprint=profile.footprint.size)
+        else:
+            made = copy.copy(controller) if mixed else controller
+        threshold = profile.lidar.min_intensity
+        # One that sees all poses of a mixed team sees no scans.
+        sees_scans = not (mixed and made.privileged) and not isinstance(made, SafetyFilter | IntensityThreshold)
+        return IntensityThreshold(made, threshold) if sees_scans and threshold is not None else made
 
     def sample_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
         """Return random starts, shape (runs, robots, 3) [m, m, rad]: functions of (robots, seed, index) and event."""

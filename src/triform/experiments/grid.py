@@ -302,7 +302,7 @@ def _kind(cell: Cell) -> Any:
     """What a controller is made for: its name or itself, distance, robots, limits of the base, filter."""
     scenario, given = cell.scenario, cell.controller
     who = given if isinstance(given, ControllerSpec) else id(given)
-    return who, scenario.distance, scenario.team, scenario.drives, scenario.guard
+    return who, scenario.distance, scenario.team, scenario.driven, scenario.guard
 
 
 def _read_tables(

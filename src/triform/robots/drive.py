@@ -6,29 +6,30 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from triform.control import (
     POLICY,
     ControllerSpec,
+    IntensityThreshold,
     LearnedPolicy,
     SafetyFilter,
     SafetySettings,
     control_steps,
     drive,
     make_controller,
-    reaction_time,
     weights_folder,
 )
 from triform.control.detection import detect_robots, kernel_footprint
 from triform.policy import PolicyRuntime
+from triform.robots.filter import safety_settings
 from triform.robots.latency import Budget
-from triform.robots.ldrobot import MODELS, LidarModel, LidarPort
+from triform.robots.ldrobot import LARGEST_INTENSITY, LidarModel, LidarPort, get_model
 from triform.robots.real import RealRobot, Step
 from triform.robots.recorder import Recorder
 from triform.robots.robomaster import USB_ADDRESS, WIFI_ADDRESS, RoboMaster
@@ -47,7 +48,7 @@ class DriveConfig:
 
     Attributes:
         lidar: Serial port of the LiDAR.
-        lidar_model: Kind of LiDAR: ld19, ld20 or ld14p.
+        lidar_model: Kind of LiDAR: ld06, ld19, stl-19p, ld20 or ld14p.
         address: Address of the base; 192.168.2.1, that of its own Wi-Fi, if omitted.
         usb: Whether the base is on the USB cable, at 192.168.42.2.
         local_address: Address of this computer as the base sees it; the system's choice if omitted.
@@ -76,10 +77,13 @@ class DriveConfig:
             if omitted.
         odometry: Whether to use the odometry of the wheels.
         guard: Whether the safety filter keeps the robot from driving into what its scan shows.
+        min_intensity: Intensity of the LiDAR, 0 to 255, from which a return is of a robot, which all wear reflecting
+            tape; the controller does not see dimmer ones, and the safety filter keeps away from them. The profile's if
+            omitted.
     """
 
     lidar: str = "/dev/ttyUSB0"
-    lidar_model: Literal["ld19", "ld20", "ld14p"] = "ld20"
+    lidar_model: str = "ld20"
     address: str | None = None
     usb: bool = False
     local_address: str | None = None
@@ -103,6 +107,7 @@ class DriveConfig:
     footprint: str | None = None
     odometry: bool = True
     guard: bool = True
+    min_intensity: float | None = None
 
     def __post_init__(self) -> None:
         convert_fields(self)
@@ -132,6 +137,11 @@ class DriveConfig:
         require(self.seed is None or self.seed >= 0, f"seed is {self.seed}; it must not be negative")
         require(all(map(math.isfinite, self.start_pose)), f"start_pose is {self.start_pose}; it must be finite")
         _ = SafetySettings(self.outline), self.mounted
+        threshold = self.threshold
+        require(
+            threshold is None or 0 <= threshold <= LARGEST_INTENSITY,
+            f"min_intensity is {threshold}; it must lie between 0 and {LARGEST_INTENSITY}",
+        )
 
     @property
     def kind(self) -> Profile:
@@ -145,14 +155,24 @@ class DriveConfig:
         return min(drive.max_speed, drive.max_axis_speed) if self.max_speed is None else self.max_speed
 
     @property
+    def shape(self) -> Footprint:
+        """Outline of the robots."""
+        return self.kind.footprint if self.footprint is None else Footprint.parse(self.footprint)
+
+    @property
     def outline(self) -> tuple[float, float] | float:
         """Length and width of the robots' box, or the diameter of a circle [m]."""
-        return (self.kind.footprint if self.footprint is None else Footprint.parse(self.footprint)).size
+        return self.shape.size
 
     @property
     def model(self) -> LidarModel:
         """The LiDAR."""
-        return MODELS[self.lidar_model]
+        return get_model(self.lidar_model)
+
+    @property
+    def threshold(self) -> float | None:
+        """Intensity from which a return is of a robot; ``None`` if none is to tell."""
+        return self.kind.lidar.min_intensity if self.min_intensity is None else self.min_intensity
 
     @property
     def mounted(self) -> Mounting:
@@ -213,15 +233,15 @@ class DriveConfig:
                 f"the controller {self.controller.label!r} needs everybody's true pose, which no real robot knows; "
                 "policy, scan-pipeline and scan-triangulating need nothing but scans"
             )
+        if self.threshold is not None:
+            controller = IntensityThreshold(controller, self.threshold)
         if not self.guard:
             return controller
-        lag, period = self.kind.drive.lag, self.control_period
-        reaction = reaction_time(period, self.model.period, self.kind.latency, rolling=True, lag=lag)
-        speed, axis_speed = self.limits.max_speed, self.limits.max_axis_speed
-        return SafetyFilter(
-            controller,
-            SafetySettings(self.outline, reaction=reaction, max_speed=speed, max_axis_speed=axis_speed),
+        lidar = replace(self.kind.lidar, period=self.model.period, rolling=True)
+        robot = replace(
+            self.kind, footprint=self.shape, lidar=lidar, drive=self.limits, control_period=self.control_period
         )
+        return SafetyFilter(controller, safety_settings(robot))
 
 
 class DriveListener(Protocol):

@@ -14,12 +14,11 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from ipaddress import AddressValueError, IPv4Address
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from triform.limits import LARGEST_INDEX, LARGEST_SEED, require_at_most
-from triform.robots.ldrobot import MODELS, LidarEmulator, LidarModel
+from triform.robots.ldrobot import LidarEmulator, LidarModel, get_model
 from triform.robots.recorder import POSE_COLUMNS, CsvLog
 from triform.robots.robomaster import RoboMasterEmulator
 from triform.signals import StopSignals
@@ -61,7 +60,7 @@ class EmulateConfig:
             hardware with the noise of the LiDAR's model. Rays and turns are those of the model in any case.
         arena: Arena: a name or a TOML file.
         distance: Prescribed neighbour distance d* [m]; starts grow with it.
-        lidar_model: Kind of LiDAR: ld19, ld20 or ld14p.
+        lidar_model: Kind of LiDAR: ld06, ld19, stl-19p, ld20 or ld14p.
         latency: Time by which everything that a LiDAR sends is late [s]. The default, the serial line and computing
             make up the hardware profile's 0.12 s until a command can use a finished scan.
         address: Loopback address of the first robot's base; the others follow it.
@@ -76,7 +75,7 @@ class EmulateConfig:
     profile: str | None = None
     arena: str = "open"
     distance: float = 1.0
-    lidar_model: Literal["ld19", "ld20", "ld14p"] = "ld20"
+    lidar_model: str = "ld20"
     latency: float = 0.115
     address: str = "127.0.1.1"
     local_address: str = "127.0.2.1"
@@ -115,7 +114,7 @@ class EmulateConfig:
     @property
     def model(self) -> LidarModel:
         """The LiDAR."""
-        return MODELS[self.lidar_model]
+        return get_model(self.lidar_model)
 
     @property
     def kind(self) -> Profile:
@@ -158,6 +157,7 @@ class Emulation:
         poses = config.draw_start()[None]
         self._profile = config.kind
         mounting = self._profile.mounting
+        self._levels = config.surroundings.levels(self._profile.lidar.brightness)
         self._noise, self._eye = replace(self._profile.lidar, scan=model.scan_config()), (mounting.x, mounting.y)
         # The world only moves the robots; its own LiDAR has a single ray, and hardly ever turns.
         blind = LidarConfig(ScanConfig(rays=1), period=1e6)
@@ -216,9 +216,13 @@ class Emulation:
             offsets[0, robot, : len(angles)] = angles - rays.angles[: len(angles)]
         active = self._world.active
         scene = (self._profile.footprint, self._world.arena, rays, offsets)
-        exact = cast_rolling(self._past[0], self._past[1], active, *scene, eye=self._eye)[0]
-        for lidar, angles, ranges, rng in zip(self.lidars, due, exact, self._rngs, strict=True):
-            lidar.emit(apply_noise(ranges[: len(angles)], self._noise, rng))
+        hits = np.empty(offsets.shape, np.int32)
+        exact = cast_rolling(self._past[0], self._past[1], active, *scene, eye=self._eye, hits=hits)[0]
+        levels = self._levels[hits[0]]
+        for lidar, angles, ranges, level, rng in zip(self.lidars, due, exact, levels, self._rngs, strict=True):
+            seen = ranges[: len(angles)]
+            bright = self._noise.brightness.measure(level[: len(angles)], seen, rng)
+            lidar.emit(apply_noise(seen, self._noise, rng), bright)
 
 
 def drive_command(config: EmulateConfig, emulation: Emulation, robot: int) -> str:

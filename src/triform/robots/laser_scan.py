@@ -22,11 +22,14 @@ class Turn:
         ranges: Ranges [m], float32, shape (R,); REP 117 for what is no range.
         started: When the first ray was measured, by the host's monotonic clock [s].
         ended: When the last ray was measured, by the same clock [s].
+        intensities: How bright every return is, in the LiDAR's own scale, float32, shape (R,); ``None`` where it does
+            not say.
     """
 
     ranges: RangeArray
     started: float
     ended: float
+    intensities: RangeArray | None = None
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class LaserScan:
         angle_increment: From one ray to the next [rad]; negative for a LiDAR that turns clockwise.
         range_min: Nearer ranges are not measurements [m].
         range_max: Farther ranges are not measurements [m].
+        intensities: How bright every return is, in the LiDAR's own scale, as many as ranges; ``None`` or none where
+            the driver does not say.
     """
 
     ranges: RangeArray
@@ -48,9 +53,12 @@ class LaserScan:
     angle_increment: float
     range_min: float
     range_max: float
+    intensities: RangeArray | None = None
 
     def __post_init__(self) -> None:
         rays, step = len(self.ranges), abs(self.angle_increment)
+        bright = 0 if self.intensities is None else len(self.intensities)
+        require(bright in (0, rays), f"the scan has {bright} intensities and {rays} ranges; it needs as many, or none")
         for name in ("angle_min", "angle_max", "angle_increment"):
             require(math.isfinite(getattr(self, name)), f"{name} is {getattr(self, name)}; it must be finite")
         require(step > 0, "angle_increment is 0; it must be the angle between neighbouring rays")
@@ -118,6 +126,20 @@ class LaserScan:
         unseen = distance > 0.5 * max(1.0, grid.angle_increment / step) + _SLACK
         placed[unseen | ((measured <= 0) & (measured > -np.inf))] = np.nan
         return placed
+
+    def intensities_on_grid(self, grid: ScanConfig) -> RangeArray | None:
+        """Give every ray of the grid the intensity of the measured ray whose range it gets from ``on_grid``.
+
+        Args:
+            grid: The full turn that is wanted, in the same frame.
+
+        Returns:
+            Intensities on the grid, float32, shape (R,); ``None`` where the driver does not say.
+        """
+        if self.intensities is None or len(self.intensities) == 0:
+            return None
+        on_grid: RangeArray = np.asarray(self.intensities, dtype=np.float32)[self._nearest(grid)[0]]
+        return on_grid
 
     def _nearest(self, grid: ScanConfig) -> tuple[np.ndarray, np.ndarray]:
         """Measured ray nearest to every ray of the grid, and how far it is, in spacings of the scan; shapes (R,)."""

@@ -21,6 +21,7 @@ from triform.types import FloatArray, RangeArray, Scan, ScanConfig, TriformError
 #: A robot's velocity is taken over this long [s].
 _SPEED_TIME = 0.1
 _ONE = np.ones((1, 1), dtype=np.bool_)
+_NO_SCAN = "there is no scan that can be used"
 
 
 class Lidar(Protocol):
@@ -108,11 +109,13 @@ class RealRobot:
     anew from it.
 
     A robot without a fresh scan, or whose scans show nothing for some turns (``triform.control.sight``), stands still,
-    whatever its controller says. What can only be the robot itself is unknown to its controller.
+    whatever its controller says. So does a differential base whose odometry is used and does not come: the safety
+    filter bounds its arcs from where it comes to rest. What can only be the robot itself is unknown to its controller.
 
     Attributes:
         control_period: Time between two commands [s].
         late_ticks: Commands that came after their control period had ended.
+        standing: Why the robot stands still whatever its controller says; empty if it does as it is told.
     """
 
     def __init__(
@@ -160,10 +163,12 @@ class RealRobot:
         self._turn: Turn | None = None
         self._view: View | None = None
         self._ranges: RangeArray = np.full(self._placement.scan.rays, np.inf, np.float32)
-        self._standing = ""
+        self._intensities: RangeArray | None = None
+        self.standing = _NO_SCAN
+        self._warned = False
         self._shows_itself = False
         self.late_ticks = 0
-        self._started = self._seen = self._due = time.monotonic()
+        self._started = self._seen = self._due = self._placed = time.monotonic()
 
     def observe(self) -> View:
         """Return the newest scan, as seen from the base's centre; ``+inf`` before the first one, ``NaN`` if too old.
@@ -176,26 +181,17 @@ class RealRobot:
         self._seen = now = time.monotonic()
         if turn is not None and (last is None or turn.ended > last.ended):
             self._look(turn)
+        then, resting = (None, None) if turn is None else self._poses(turn, now)
         old = turn is not None and now - turn.ended > self._timeout
-        reason = ""
-        if old:
-            reason = f"no new scan for {self._timeout:g} s: the robot stands still until one comes"
-        elif turn is not None and self._sight.trust == 0:
-            reason = (
-                f"the LiDAR has shown nothing, or less than half of its surroundings, for {BLIND_TURNS} turns: the "
-                "robot stands still until it sees again"
-            )
-        if reason and not self._standing and self._warn is not None:
-            self._warn(reason)
-        self._standing = reason
+        self.standing = self._reason_to_stand(old, resting is not None)
         ranges = self._ranges
         if turn is None or old:
             ranges = np.full_like(ranges, np.nan if old else np.inf)
-        then, resting = (None, None) if turn is None else self._poses(turn, now)
+        bright = self._intensities
         heading = np.zeros((1, 1)) if resting is None else resting[..., 2]
         moved = None if then is None or resting is None else relative_poses(resting, then, _ONE)
         self._view = View(
-            scans=Scan(ranges[None, None], self._placement.scan),
+            scans=Scan(ranges[None, None], self._placement.scan, None if bright is None else bright[None, None]),
             active=_ONE,
             time=now - self._started,
             noise=noise_in_body(self._keys, self._limits, now - self._started, heading),
@@ -216,7 +212,7 @@ class RealRobot:
         if commands.shape != (1, 1, 3) or not np.isfinite(commands).all():
             raise TriformError(f"the command {commands} cannot be driven; three finite numbers are needed")
         decided = time.monotonic()
-        blind = self._turn is None or self._standing != ""
+        blind = self.standing != ""
         command = np.zeros(3) if blind else self._sight.trust * limit_twists(commands, self._limits)[0, 0]
         if self._base is not None:
             self._base.drive(command)
@@ -231,6 +227,29 @@ class RealRobot:
             self._on_sent(Step(self._seen, decided, sent, self._turn, self._view, command, pose, blind, late))
         time.sleep(max(0.0, self._due - time.monotonic()))
 
+    def _reason_to_stand(self, old: bool, placed: bool) -> str:
+        """Return why the robot stands still, and warn when it begins to; empty if it does as it is told."""
+        if placed:
+            self._placed = self._seen
+        reason, patience = "", 0.0
+        if self._turn is None:
+            return _NO_SCAN
+        if old:
+            reason = f"no new scan for {self._timeout:g} s: the robot stands still until one comes"
+        elif self._sight.trust == 0:
+            reason = (
+                f"the LiDAR has shown nothing, or less than half of its surroundings, for {BLIND_TURNS} turns: the "
+                "robot stands still until it sees again"
+            )
+        elif self._limits.is_differential and self._odometry and not placed:
+            reason = "the odometry of the wheels is missing or leaps: the robot stands still until it is known"
+            patience = self._timeout
+        warns = reason != "" and self._seen - self._placed >= patience
+        if warns and not self._warned and self._warn is not None:
+            self._warn(reason)
+        self._warned = reason != "" and (warns or self._warned)
+        return reason
+
     def _look(self, turn: Turn) -> None:
         """Take a new turn: whether it has sight, and what it shows of the surroundings."""
         placement = self._placement
@@ -244,7 +263,7 @@ class RealRobot:
             )
         self._shows_itself |= bool(own.any())
         self._sight.note(has_sight(masked, placement.looks))
-        self._ranges = placement.from_base(masked)
+        self._ranges, self._intensities = placement.from_base(masked, turn.intensities)
 
     def _poses(self, turn: Turn, now: float) -> tuple[FloatArray | None, FloatArray | None]:
         """Poses in the middle of a turn and at rest after now, shape (1, 1, 3).

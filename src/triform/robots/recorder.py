@@ -17,11 +17,12 @@ from triform.files import cannot_write, make_folder, write_atomically
 from triform.geometry.frames import body_to_world, wrap_angle
 from triform.robots.laser_scan import Turn
 from triform.robots.real import Step
+from triform.robots.scan_file import SCANS_FILE, scan_columns
 from triform.simulation.odometry import relative_poses
 from triform.types import FloatArray, TriformError
 from triform.version import __version__
 
-STEPS_FILE, SCANS_FILE, DRIVE_FILE = "steps.csv", "scans.csv", "drive.json"
+STEPS_FILE, DRIVE_FILE = "steps.csv", "drive.json"
 #: Columns of a recording of poses; x, y and heading are in one frame for all robots [s, 1, m, m, rad].
 POSE_COLUMNS = ("time", "robot", "x", "y", "heading")
 
@@ -89,7 +90,8 @@ class Recorder:
     ``steps.csv`` has a row per command: its time, the pose by odometry in the frame of the start (``nan`` where the
     wheels do not say), the command as sent, the age of its scan when it was used, the time from the end of that scan
     until the base had the command, and whether the scan was fresh and the command late. ``scans.csv`` has a row per
-    scan, and ``drive.json`` says at the end how the robot was driven. Times are Unix times, which all robots share.
+    scan, with the intensities of its returns where the LiDAR says them, and ``drive.json`` says at the end how the
+    robot was driven. Times are Unix times, which all robots share.
     """
 
     def __init__(
@@ -117,13 +119,14 @@ class Recorder:
         self._origin: FloatArray | None = None
         self._turn: Turn | None = None
         self._steps = CsvLog(folder / STEPS_FILE, _STEP_COLUMNS, warn)
-        self._scans = CsvLog(folder / SCANS_FILE, ("started", "ended", *(f"range_{k}" for k in range(rays))), warn)
+        self._rays, self._scans = rays, CsvLog(folder / SCANS_FILE, scan_columns(rays), warn)
 
     def add(self, step: Step) -> None:
         """Write a step, and its scan if it is a new one."""
         turn = step.turn
         if turn is not None and turn is not self._turn:
-            self._scans.write([turn.started + self._epoch, turn.ended + self._epoch, *turn.ranges], 4)
+            bright = np.full(self._rays, np.nan) if turn.intensities is None else turn.intensities
+            self._scans.write([turn.started + self._epoch, turn.ended + self._epoch, *turn.ranges, *bright], 4)
             self._turn = turn
         pose = self._placed(step.pose)
         flags = int(not step.blind), int(step.late)

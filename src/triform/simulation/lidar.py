@@ -6,19 +6,22 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
 from triform.simulation.arena import Arena
 from triform.simulation.body_kernels import Bodies
 from triform.simulation.cast_kernels import cast_cells, cast_world, cast_worlds, sort_poses
-from triform.simulation.moving_ray_kernels import cast_moving_worlds
+from triform.simulation.moving_ray_kernels import HIT_NOTHING, cast_moving_worlds
 from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
 from triform.simulation.ray_kernels import ScanRays, Scene
 from triform.threads import in_parts, usable_threads
 from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, as_array, require
 
 __all__ = ["angle_offsets", "apply_noise", "cast_rolling", "cast_scans", "cast_world", "noise_sigma", "scan_rays"]
+
+#: What rays hit, see ``cast_moving``.
+HitArray = NDArray[np.int32]
 
 #: Rays that keep a thread busy for about 2 ms.
 RAYS_PER_THREAD = 1_000_000
@@ -55,6 +58,7 @@ def cast_scans(
     dtype: DTypeLike = np.float64,
     eye: tuple[float, float] = (0.0, 0.0),
     robots: slice = slice(None),
+    hits: HitArray | None = None,
 ) -> RangeArray:
     """Return what every robot's LiDAR would measure at one instant, without range noise.
 
@@ -68,6 +72,7 @@ def cast_scans(
         dtype: Floating type of the ranges.
         eye: Where the LiDAR is on each robot, forward and left of its centre [m].
         robots: Which M robots measure; by default all.
+        hits: Gets what every ray hits, int32, shape (B, M, R), see ``cast_moving``; rays are then cast one by one.
 
     Returns:
         Ranges, shape (B, M, R) [m]: ``+inf`` beyond ``range_max``, ``-inf`` below ``range_min`` and throughout for
@@ -76,8 +81,8 @@ def cast_scans(
     Raises:
         ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
-    if offsets is not None:
-        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye, robots)
+    if offsets is not None or hits is not None:
+        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye, robots, hits)
     places, mask = _checked_batch(poses, active)
     worlds, total = mask.shape
     ranges = np.empty((worlds, total, config.rays), dtype)
@@ -128,6 +133,7 @@ def cast_rolling(
     dtype: DTypeLike = np.float64,
     eye: tuple[float, float] = (0.0, 0.0),
     robots: slice = slice(None),
+    hits: HitArray | None = None,
 ) -> RangeArray:
     """Return a turn in which ray k is measured at the share k / R of the way from ``start`` to ``end``.
 
@@ -144,6 +150,7 @@ def cast_rolling(
         dtype: Floating type of the ranges.
         eye: Where the LiDAR is on each robot, forward and left of its centre [m].
         robots: Which M robots measure; by default all.
+        hits: Gets what every ray hits, int32, shape (B, M, R), see ``cast_moving``.
 
     Returns:
         Ranges, shape (B, M, R) [m], as ``cast_scans``.
@@ -162,7 +169,9 @@ def cast_rolling(
     ranges = np.full(shape, np.inf, dtype)
     share_step = 0.0 if start is end else 1.0 / config.rays
     scene = make_scene(footprint, arena, start.shape[1])
-    turn = (scan_rays(config, *eye), errors, share_step, observers.start, ranges)
+    found = np.empty((*shape[:2], 0), np.int32) if hits is None else hits
+    found[...] = HIT_NOTHING
+    turn = (scan_rays(config, *eye), errors, share_step, observers.start, ranges, found)
     in_parts(
         lambda first, last: cast_moving_worlds(start, end, mask, scene, *turn, first, last),
         len(ranges), ranges.size, MOVING_RAYS_PER_THREAD,

@@ -134,22 +134,36 @@ class Placement:
         hidden = own | ~self.looks
         return np.where(hidden, ranges.dtype.type(np.nan), ranges) if hidden.any() else ranges
 
-    def from_base(self, ranges: RangeArray) -> RangeArray:
-        """Return turns as seen from the base's centre: farther than ``scan.range_max`` is ``+inf``.
+    def from_base(
+        self, ranges: RangeArray, intensities: RangeArray | None = None
+    ) -> tuple[RangeArray, RangeArray | None]:
+        """Return turns as seen from the base's centre, and how bright their returns are.
+
+        Farther than ``scan.range_max`` is ``+inf``. A ray gets the intensity of the return that it gets, and a point
+        between two returns that of the nearer one.
 
         Args:
             ranges: Ranges from the LiDAR, at least ``Mounting.offset`` farther than ``scan.range_max`` [m], shape
                 (..., R).
+            intensities: Of these returns, in the LiDAR's own scale, of the same shape; ``None`` if not known, and then
+                ``None`` is returned.
         """
         if self._mounting.offset == 0:
             far = ranges > self.scan.range_max
-            return np.where(far & (ranges < np.inf), ranges.dtype.type(np.inf), ranges) if far.any() else ranges
+            if far.any():
+                ranges = np.where(far & (ranges < np.inf), ranges.dtype.type(np.inf), ranges)
+            return ranges, intensities
         rows = np.ascontiguousarray(ranges).reshape(-1, self.scan.rays)
         placed = np.empty_like(rows)
+        bright = np.zeros((len(rows), 0)) if intensities is None else np.ascontiguousarray(intensities)
+        bright = bright.reshape(len(rows), -1)
+        shown = np.zeros_like(bright)
         limits = (self.scan.angle_min, self.scan.range_min, self.scan.range_max)
-        for row, out in zip(rows, placed, strict=True):
-            _see_from_base(row, self._cos, self._sin, self._mounting.x, self._mounting.y, *limits, out)
-        return placed.reshape(ranges.shape)
+        for row, out, level, level_out in zip(rows, placed, bright, shown, strict=True):
+            _see_from_base(
+                row, level, self._cos, self._sin, self._mounting.x, self._mounting.y, *limits, out, level_out
+            )
+        return placed.reshape(ranges.shape), None if intensities is None else shown.reshape(ranges.shape)
 
     def _chords(self, body: Body) -> FloatArray:
         """Where each ray enters and leaves the outline with its margin, shape (2, R) [m]; ``NaN`` if it misses."""
@@ -168,39 +182,50 @@ class Placement:
 
 
 @kernel
-def _enter(bearing: float, distance: float, angle_min: float, increment: float, out: Any) -> None:
+def _enter(
+    bearing: float, distance: float, level: float, angle_min: float, increment: float, out: Any, levels: Any
+) -> None:
     """Enter a return in the ray nearest to its bearing, unless something nearer is there."""
     ray = round((bearing - angle_min) / increment) % out.shape[0]
     if not distance >= out[ray]:
         out[ray] = distance
+        if levels.shape[0] > 0:
+            levels[ray] = level
 
 
 @kernel
 def _see_from_base(
-    ranges: Any, cos: Any, sin: Any, x: float, y: float, angle_min: float, range_min: float, range_max: float, out: Any
-) -> None:
+    ranges: Any, intensities: Any, cos: Any, sin: Any, x: float, y: float, angle_min: float, range_min: float,
+    range_max: float, out: Any, levels: Any,
+) -> None:  # fmt: skip
     """Write what the centre of the base sees of a scan from (x, y).
 
     Every return is entered in the nearest ray of the base, and between two returns of one surface so are points of the
     line that joins them. A ray without any is free, or unknown if the LiDAR knows nothing about where it ends.
+    Intensities and ``levels`` have shape (R,), or (0,) where they are not known; ``levels`` must come filled with 0.
     """
     rays = ranges.shape[0]
+    bright = intensities.shape[0] > 0
     increment = 2 * math.pi / rays
     for k in range(rays):
         bearing = math.atan2(range_max * sin[k] - y, range_max * cos[k] - x)
         towards = round((bearing - angle_min) / increment) % rays
         out[k] = math.nan if math.isnan(ranges[towards]) else math.inf
     before_x = before_y = math.inf
+    before_level = level = 0.0
     for step in range(rays + 1):
         k = step % rays
         distance = range_min if ranges[k] == -math.inf else ranges[k]
         if not distance < math.inf:
             before_x = before_y = math.inf
             continue
+        if bright:
+            level = intensities[k]
         here_x, here_y = x + distance * cos[k], y + distance * sin[k]
         from_base, bearing = math.hypot(here_x, here_y), math.atan2(here_y, here_x)
         if from_base <= range_max:
-            _enter(bearing, -math.inf if ranges[k] == -math.inf else from_base, angle_min, increment, out)
+            entry = -math.inf if ranges[k] == -math.inf else from_base
+            _enter(bearing, entry, level, angle_min, increment, out, levels)
         if math.hypot(here_x - before_x, here_y - before_y) <= _ONE_SURFACE:
             turn = math.atan2(before_y, before_x) - bearing
             turn -= 2 * math.pi * math.floor(turn / (2 * math.pi) + 0.5)
@@ -210,5 +235,6 @@ def _see_from_base(
                 point_x, point_y = here_x + share * (before_x - here_x), here_y + share * (before_y - here_y)
                 between = math.hypot(point_x, point_y)
                 if between <= range_max:
-                    _enter(math.atan2(point_y, point_x), between, angle_min, increment, out)
-        before_x, before_y = here_x, here_y
+                    nearer = level if share <= 0.5 else before_level
+                    _enter(math.atan2(point_y, point_x), between, nearer, angle_min, increment, out, levels)
+        before_x, before_y, before_level = here_x, here_y, level

@@ -16,6 +16,11 @@ from triform.kernels import kernel
 from triform.simulation.body_kernels import body_of, body_reach
 from triform.simulation.ray_kernels import sight_reach
 
+#: What a ray has hit that hits nothing.
+HIT_NOTHING = -1
+#: Of a robot that touches an obstacle, rays hit the obstacle from so near on [m].
+SAME_PLACE = 1e-9
+
 
 class DueRays(NamedTuple):
     """Rays that are cast one after the other while robots move.
@@ -138,8 +143,24 @@ def _nearest_along(
 
 
 @kernel
+def _which_along(x: float, y: float, dx: float, dy: float, distance: float, walls: Any, pillars: Any) -> int:
+    """What is hit at a distance [m] from (x, y) in direction (dx, dy), as ``hits`` of ``cast_moving``."""
+    hit: int = walls.shape[0] + pillars.shape[0]
+    nearest = distance + SAME_PLACE
+    for w in range(walls.shape[0]):
+        found = _distance_to_wall(walls[w, 0] - x, walls[w, 1] - y, walls[w, 2] - x, walls[w, 3] - y, dx, dy)
+        if found < nearest:
+            nearest, hit = found, w
+    for p in range(pillars.shape[0]):
+        found = _distance_to_circle(pillars[p, 0] - x, pillars[p, 1] - y, pillars[p, 2], dx, dy)
+        if found < nearest:
+            nearest, hit = found, walls.shape[0] + p
+    return hit
+
+
+@kernel
 def cast_moving(
-    start: Any, end: Any, active: Any, near: Any, scene: Any, scan: Any, offsets: Any, due: Any, out: Any
+    start: Any, end: Any, active: Any, near: Any, scene: Any, scan: Any, offsets: Any, due: Any, out: Any, hits: Any
 ) -> None:
     """Cast rays ``due.first <= k < due.last`` of one world while its robots move from ``start`` to ``end``.
 
@@ -156,6 +177,8 @@ def cast_moving(
         offsets: Error of every ray's angle, shape (M, R) [rad], or (M, 0) for none.
         due: ``DueRays``.
         out: Ranges of the M robots that cast, shape (M, R); only the rays cast and only active robots are written [m].
+        hits: What these rays hit, shape (M, R), or (M, 0) if nobody asks: the index of a wall, the number of walls plus
+            that of a pillar, the number of both for any robot, and ``HIT_NOTHING``.
     """
     robots = start.shape[0]
     increment = 2 * math.pi / out.shape[1]
@@ -193,11 +216,16 @@ def cast_moving(
             found = _nearest_along(x, y, dx, dy, places, ends[own], ends[own + np.uint64(1)], others, around, scene)
             # As ``keep_nearest`` into an empty ray; rows of ``out`` are not taken, which costs in an inner loop.
             out[m, k] = math.inf if found > range_max else -math.inf if found < range_min else found
+            if hits.shape[1] > 0:
+                hits[m, k] = HIT_NOTHING
+                if found <= range_max:
+                    hits[m, k] = _which_along(x, y, dx, dy, found, scene.walls, scene.pillars)
 
 
 @kernel
 def cast_moving_worlds(
     start: Any, end: Any, active: Any, scene: Any, scan: Any, offsets: Any, share_step: float, robot: int, out: Any,
+    hits: Any,
     first: int, last: int,
 ) -> None:  # fmt: skip
     """``cast_moving`` of whole turns for the worlds ``first <= b < last``; ``out`` must come filled with ``+inf``.
@@ -211,7 +239,7 @@ def cast_moving_worlds(
                 travel = max(travel, math.hypot(end[b, i, 0] - start[b, i, 0], end[b, i, 1] - start[b, i, 1]))
         near = list_near(start[b], active[b], seen_within(scene.body, scan, travel))
         due = DueRays(robot, 0, out.shape[2], 0.0, share_step)
-        cast_moving(start[b], end[b], active[b], near, scene, scan, offsets[b], due, out[b])
+        cast_moving(start[b], end[b], active[b], near, scene, scan, offsets[b], due, out[b], hits[b])
 
 
 @kernel

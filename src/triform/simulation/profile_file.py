@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from triform.simulation.intensity import Brightness
 from triform.simulation.mounting import Mounting
 from triform.simulation.profiles import Drive, Footprint, LidarConfig, NoiseBand, Profile
 from triform.simulation.tables import TomlTable, quoted
@@ -39,9 +40,21 @@ def _lidar(table: TomlTable) -> LidarConfig:
     for band in table.tables("noise", "[{ up_to = inf, absolute = 0.01 }]"):
         with _refusing(band):
             bands.append(NoiseBand(**_values(band, NoiseBand(float("inf")))))
-    shape = _values(table, scan, "noise", *_simple(lidar))
+    brightness = table.table("brightness")
+    with _refusing(brightness):
+        levels = Brightness(**_values(brightness, Brightness()))
+    others = "noise", "brightness", "min_intensity"
+    shape = _values(table, scan, *others, *_simple(lidar))
+    threshold = table.number("min_intensity", 0.0) if "min_intensity" in table.values else None
     with _refusing(table):
-        return replace(lidar, scan=ScanConfig(**shape), noise=tuple(bands), **_values(table, lidar, "noise", *shape))
+        return replace(
+            lidar,
+            scan=ScanConfig(**shape),
+            noise=tuple(bands),
+            brightness=levels,
+            min_intensity=threshold,
+            **_values(table, lidar, *others, *shape),
+        )
 
 
 def _drive(table: TomlTable) -> Drive:
@@ -95,6 +108,7 @@ def profile_toml(profile: Profile) -> str:
         for band in lidar.noise
     )
     noise = f"[\n{bands},\n]" if bands else "[]"
+    bright, threshold = lidar.brightness, lidar.min_intensity
     lines = [
         f"name = {quoted(profile.name)}",
         f'footprint = "{profile.footprint.label}"  # circle:DIAMETER or box:LENGTHxWIDTH [m], around its centre',
@@ -114,6 +128,16 @@ def profile_toml(profile: Profile) -> str:
         f"angle_noise = {float(lidar.angle_noise)!r}  # standard deviation of a ray's direction [rad]",
         "# Standard deviation of ranges up to a distance [m]: absolute [m] + relative x range; the last up to inf.",
         f"noise = {noise}",
+        f"intensities = {str(lidar.intensities).lower()}  # whether it can say how bright its returns are",
+        "# Returns that are dimmer, in the LiDAR's own scale, are obstacles; robots then need reflecting tape.",
+        "# min_intensity = 230.0" if threshold is None else f"min_intensity = {float(threshold)!r}",
+        "",
+        "[lidar.brightness]  # how bright a simulated LiDAR sees, in its own scale",
+        f"robot = {float(bright.robot)!r}  # with its tape",
+        f"obstacle = {float(bright.obstacle)!r}  # of which the arena says nothing else",
+        f"falloff = {float(bright.falloff)!r}  # lost per distance [1/m]",
+        f"noise = {float(bright.noise)!r}  # standard deviation",
+        f"largest = {float(bright.largest)!r}  # end of the scale",
         "",
         "[mounting]  # of the LiDAR on the base",
         f"x = {float(mounting.x)!r}  # forward of the base's centre [m]",

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from triform.geometry.unicycle import Wheels
+from triform.simulation.intensity import Brightness
 from triform.simulation.mounting import Mounting
 from triform.types import (
     Body,
@@ -180,6 +181,10 @@ class LidarConfig:
         dropout: Share of rays, drawn independently, that return nothing valid (``NaN``).
         rolling: Whether each ray is measured at its own moment of the turn; otherwise all at the turn's end.
         period: Time of one turn [s].
+        intensities: Whether it can say how bright its returns are.
+        brightness: How bright it sees robots and obstacles.
+        min_intensity: Returns that are dimmer, in its own scale, are obstacles, because robots wear reflecting tape;
+            ``None`` if it cannot or need not tell. Intensities are only simulated with such a threshold.
     """
 
     scan: ScanConfig = field(default_factory=ScanConfig)
@@ -188,6 +193,9 @@ class LidarConfig:
     dropout: float = 0.0
     rolling: bool = False
     period: float = 0.1
+    intensities: bool = True
+    brightness: Brightness = field(default_factory=Brightness)
+    min_intensity: float | None = None
 
     def __post_init__(self) -> None:
         convert_fields(self)
@@ -202,6 +210,15 @@ class LidarConfig:
         )
         require(0 <= self.dropout <= 1, f"dropout is {self.dropout}; it is a share between 0 and 1")
         require(_is_positive(self.period), f"LiDAR period is {self.period} s; it must be positive and finite")
+        threshold = self.min_intensity
+        require(
+            threshold is None or 0 <= threshold < math.inf,
+            f"min_intensity is {threshold}; it must be finite and not negative",
+        )
+        require(
+            threshold is None or self.intensities,
+            f"min_intensity is {threshold}, but this LiDAR does not say how bright its returns are",
+        )
 
 
 def constant_noise(sigma: float) -> tuple[NoiseBand, ...]:

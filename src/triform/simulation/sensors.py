@@ -11,8 +11,10 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from triform.simulation.lidar import angle_offsets, apply_noise
+from triform.simulation.arena import Arena
+from triform.simulation.lidar import HitArray, angle_offsets, apply_noise
 from triform.simulation.mounting import Mounting, Placement
+from triform.simulation.moving_ray_kernels import HIT_NOTHING
 from triform.simulation.noise import noise_in_body, noise_keys
 from triform.simulation.odometry import halfway, relative_poses, resting_poses
 from triform.simulation.profiles import Profile
@@ -48,6 +50,8 @@ class SensorSuite:
         ranges: What a rolling LiDAR has measured in the running turn [m], shape (B, N, R), written by whoever casts
             the rays; R is 0 for a LiDAR that measures all rays at once.
         offsets: Errors of the angles of these rays [rad], shape (B, N, R); R is 0 without such errors.
+        hits: What these rays hit, see ``cast_moving``, written with them, shape (B, N, R); R is 0 unless ``is_bright``.
+        is_bright: Whether intensities are simulated: of a LiDAR with ``min_intensity``, which needs them.
     """
 
     def __init__(
@@ -56,6 +60,8 @@ class SensorSuite:
         poses: FloatArray,
         active: BoolArray,
         seeds: Sequence[int | np.random.SeedSequence] | None = None,
+        arena: Arena | None = None,
+        from_lidar: bool = False,
         first: int = 0,
     ) -> None:
         """Begin the first turn at time 0.
@@ -65,6 +71,8 @@ class SensorSuite:
             poses: Poses in the world frame, shape (B, N, 3) [m, m, rad].
             active: Which robots exist, shape (B, N).
             seeds: One seed for every world; may be left out if the profile has no random errors.
+            arena: What is there besides robots; without it, the intensities of what rays hit are not known.
+            from_lidar: Whether scans are shown as the LiDARs measure them, and not as seen from the base's centre.
             first: Index of the first of these robots in its team, on which their errors and their noise depend.
 
         Raises:
@@ -75,18 +83,24 @@ class SensorSuite:
         self._profile = profile
         # What is measured reaches as far from the LiDAR as a view does from the base.
         self._measured = replace(lidar, scan=profile.from_lidar)
-        self._placement = None if profile.mounting == Mounting() else Placement(lidar.scan, profile.mounting)
+        self._shown_scan = self._measured.scan if from_lidar else lidar.scan
+        as_measured = from_lidar or profile.mounting == Mounting()
+        self._placement = None if as_measured else Placement(lidar.scan, profile.mounting)
         self._noisy = bool(lidar.noise) or lidar.angle_noise > 0 or lidar.dropout > 0
-        self._seeds = _sequences(seeds, len(poses), self._noisy)
-        self._rngs: dict[tuple[int, int], np.random.Generator] = {}
+        self.is_bright = lidar.min_intensity is not None and arena is not None
+        self._levels = (arena or Arena.open()).levels(lidar.brightness)
+        self._seeds = _sequences(seeds, len(poses), self._noisy or self.is_bright)
+        self._rngs: dict[tuple[int, ...], np.random.Generator] = {}
         self._noise_keys = noise_keys(self._seeds, len(poses))
         self._turn = 0
         self._next_ray = 0
         # Until there is a scan, one number stands for all rays.
         self._newest: RangeArray = np.broadcast_to(np.float32(np.inf), (*active.shape, lidar.scan.rays))
+        self._newest_bright: RangeArray | None = None
         self._shown: FloatArray = poses.copy()
-        self._finished: deque[tuple[float, RangeArray, FloatArray]] = deque()
+        self._finished: deque[tuple[float, RangeArray, RangeArray | None, FloatArray]] = deque()
         self.ranges: RangeArray
+        self.hits: HitArray
         self.offsets: FloatArray
         self._turn_start: FloatArray
         self._begin_turn(poses, active)
@@ -135,7 +149,12 @@ class SensorSuite:
             return self._draw_offsets((*active.shape, self._profile.lidar.scan.rays), active)
         return None
 
-    def finish(self, ranges: RangeArray, poses: FloatArray, active: BoolArray) -> None:
+    def no_hits(self, active: BoolArray) -> HitArray | None:
+        """Return an array for what rays hit that are all cast at once, shape (B, N, R); ``None`` if unneeded."""
+        shape = (*active.shape, self._profile.lidar.scan.rays)
+        return np.full(shape, HIT_NOTHING, np.int32) if self.is_bright else None
+
+    def finish(self, ranges: RangeArray, poses: FloatArray, active: BoolArray, hits: HitArray | None = None) -> None:
         """Finish a scan at the beginning of the running turn: of a LiDAR that measures all rays at once.
 
         Args:
@@ -143,25 +162,35 @@ class SensorSuite:
                 put in, and a mounting off the centre or with blind sectors is allowed for.
             poses: Poses at this moment, shape (B, N, 3).
             active: Which robots exist, shape (B, N).
+            hits: What the rays hit, shape (B, N, R), from ``no_hits``.
         """
+        bright = None if hits is None else self._intensities(ranges, hits, active)
         if self._noisy:
             for b, i in np.argwhere(active):
                 ranges[b, i] = apply_noise(ranges[b, i], self._measured, self._rng(b, i))
         if self._placement is not None:
-            ranges[active] = self._placement.from_base(self._placement.masked(ranges[active]))
+            masked, levels = self._placement.masked(ranges[active]), None if bright is None else bright[active]
+            ranges[active], levels = self._placement.from_base(masked, levels)
+            if bright is not None:
+                bright[active] = levels
         shown = halfway(self._turn_start, poses, active) if self._profile.lidar.rolling else poses.copy()
-        self._finished.append((self._turn * self._profile.lidar.period, ranges, shown))
+        self._finished.append((self._turn * self._profile.lidar.period, ranges, bright, shown))
 
-    def end_turn(self, ranges: RangeArray | None, poses: FloatArray, active: BoolArray) -> None:
+    def end_turn(
+        self, ranges: RangeArray | None, poses: FloatArray, active: BoolArray, hits: HitArray | None = None
+    ) -> None:
         """Finish the scan of the running turn, and begin the next.
 
         Args:
             ranges: All rays at this moment, without errors of range; ``None`` for a rolling LiDAR.
             poses: As for ``finish``.
             active: As for ``finish``.
+            hits: As for ``finish``; ``None`` for a rolling LiDAR.
         """
         self._turn += 1
-        self.finish(self.ranges if ranges is None else ranges, poses, active)
+        if ranges is None:
+            ranges, hits = self.ranges, self.hits if self.is_bright else None
+        self.finish(ranges, poses, active, hits)
         self._next_ray = 0
         self._begin_turn(poses, active)
 
@@ -176,12 +205,12 @@ class SensorSuite:
         """
         ready = time - self._profile.latency + _SAME_TIME
         while self._finished and self._finished[0][0] <= ready:
-            _, self._newest, self._shown = self._finished.popleft()
+            _, self._newest, self._newest_bright, self._shown = self._finished.popleft()
         drive = self._profile.drive
         resting = resting_poses(poses, velocities, drive)
         odometry = relative_poses(resting, self._shown, active) if self._profile.odometry else None
         return PrivilegedView(
-            scans=Scan(self._newest, self._profile.lidar.scan),
+            scans=Scan(self._newest, self._shown_scan, self._newest_bright),
             active=active.copy(),
             time=time,
             poses=poses.copy(),
@@ -191,7 +220,7 @@ class SensorSuite:
 
     def add_robot(self, world: int, robot: int, pose: FloatArray) -> None:
         """Let a robot begin at ``pose``, shape (3,); of a rolling turn the rays already past are ``NaN``."""
-        for shown in (self._shown, self._turn_start, *(poses for _, _, poses in self._finished)):
+        for shown in (self._shown, self._turn_start, *(poses for *_, poses in self._finished)):
             shown[world, robot] = pose
         self.ranges[world, robot, : self._next_ray] = np.nan
         self.ranges[world, robot, self._next_ray :] = np.inf
@@ -206,17 +235,19 @@ class SensorSuite:
         # Views handed out earlier share these arrays and must not change.
         self._newest = self._newest.copy()
         self._newest[world, robot] = np.inf
-        for _, ranges, _ in self._finished:
+        for _, ranges, _, _ in self._finished:
             ranges[world, robot] = np.inf
 
     def grow(self) -> None:
         """Append one place to axis N of everything."""
         self.ranges = padded(self.ranges, np.inf)
         self.offsets = padded(self.offsets, 0.0)
-        self._newest = padded(self._newest, np.inf)
+        self.hits = np.pad(self.hits, ((0, 0), (0, 1), (0, 0)), constant_values=HIT_NOTHING)
+        self._newest, self._newest_bright = padded(self._newest, np.inf), _padded_bright(self._newest_bright)
         self._shown, self._turn_start = padded(self._shown, np.nan), padded(self._turn_start, np.nan)
         self._finished = deque(
-            (when, padded(ranges, np.inf), padded(shown, np.nan)) for when, ranges, shown in self._finished
+            (when, padded(ranges, np.inf), _padded_bright(bright), padded(shown, np.nan))
+            for when, ranges, bright, shown in self._finished
         )
 
     def _begin_turn(self, poses: FloatArray, active: BoolArray) -> None:
@@ -225,6 +256,7 @@ class SensorSuite:
         self._turn_start = poses.copy()
         shape = (*active.shape, lidar.scan.rays if lidar.rolling else 0)
         self.ranges = np.full(shape, np.inf, np.float32)
+        self.hits = np.full((*shape[:2], shape[2] if self.is_bright else 0), HIT_NOTHING, np.int32)
         self.offsets = self._draw_offsets(shape, active) if lidar.angle_noise > 0 else np.empty((*shape[:2], 0))
 
     def _draw_offsets(self, shape: tuple[int, ...], active: BoolArray) -> FloatArray:
@@ -234,13 +266,23 @@ class SensorSuite:
                 offsets[b, i] = angle_offsets(shape[2:], self._profile.lidar, self._rng(b, i))
         return offsets
 
-    def _rng(self, world: int, robot: int) -> np.random.Generator:
-        """Generator of one robot."""
-        if (world, robot) not in self._rngs:
+    def _intensities(self, ranges: RangeArray, hits: HitArray, active: BoolArray) -> RangeArray:
+        """How bright exact returns are, shape (B, N, R); 0 where nothing returned."""
+        bright = np.zeros(ranges.shape, np.float32)
+        for b, i in np.argwhere(active):
+            # A stream of their own: ranges are the same with and without them.
+            rng = self._rng(b, i, 0)
+            bright[b, i] = self._measured.brightness.measure(self._levels[hits[b, i]], ranges[b, i], rng)
+        return bright
+
+    def _rng(self, world: int, *robot: int) -> np.random.Generator:
+        """Generator of one robot, or of its intensities alone with a further 0."""
+        if (world, *robot) not in self._rngs:
             seed = self._seeds[world]
-            sequence = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, self._first + robot))
-            self._rngs[world, robot] = np.random.default_rng(sequence)
-        return self._rngs[world, robot]
+            own = (self._first + robot[0], *robot[1:])
+            sequence = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, *own))
+            self._rngs[world, *robot] = np.random.default_rng(sequence)
+        return self._rngs[world, *robot]
 
 
 def stretches(
@@ -271,6 +313,11 @@ def stretches(
 def padded(values: NDArray[Floating], fill: float) -> NDArray[Floating]:
     """Append one place to axis N of an array of shape (B, N, ...)."""
     return np.pad(values, ((0, 0), (0, 1), (0, 0)), constant_values=fill)
+
+
+def _padded_bright(values: RangeArray | None) -> RangeArray | None:
+    """``padded`` for intensities, where there are any."""
+    return None if values is None else padded(values, 0.0)
 
 
 def _sequences(

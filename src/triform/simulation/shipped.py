@@ -36,13 +36,15 @@ LDS_01 = replace(
 )
 
 #: SLAMTEC RPLIDAR A1M8 (data sheet): 0.15 m to 12 m, 360 samples a turn, 1 % of the range, 5.5 to 10 Hz. That it turns
-#: 7.7 times a second, and lost rays: assumptions.
+#: 7.7 times a second, and lost rays: assumptions. The intensities of its ROS driver are no measurement of brightness
+#: (robopeak/rplidar_ros, issue 44; in Slamtec/rplidar_ros, issue 6, an A3 gives 47 for every return).
 RPLIDAR_A1 = LidarConfig(
     scan=ScanConfig(rays=360, range_min=0.15),
     noise=(NoiseBand(math.inf, relative=0.005),),
     dropout=0.01,
     rolling=True,
     period=0.13,
+    intensities=False,
 )
 
 #: SLAMTEC RPLIDAR A2M12 (data sheet): 0.2 m to 12 m, 16,000 samples a second at 10 Hz, 1 % of the range. Lost rays: an

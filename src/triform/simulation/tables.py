@@ -74,11 +74,11 @@ class TomlTable:
         """Return a text."""
         return str(self._checked(key, default, lambda value: isinstance(value, str), "a text"))
 
-    def rows(self, key: str, columns: int, what: str) -> list[list[float]]:
-        """Return rows of finite numbers, none if the file has no such key."""
+    def rows(self, key: str, columns: int, what: str, spare: int = 0) -> list[list[float]]:
+        """Return rows of finite numbers, and up to ``spare`` more in each; none if the file has no such key."""
         value = self.values.get(key, [])
         for row in value if isinstance(value, list) else [value]:
-            if not are_numbers(row, columns):
+            if not any(are_numbers(row, columns + more) for more in range(spare + 1)):
                 raise self.wrong(key, row, f"rows of {columns} numbers are needed: {what}")
         return [[float(number) for number in row] for row in value]
 

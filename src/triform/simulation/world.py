@@ -14,7 +14,7 @@ from triform.mixed import MixedView
 from triform.simulation.arena import Arena, get_arena
 from triform.simulation.composition import Composition
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
-from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, cast_scans, make_scene, scan_rays
+from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, HitArray, cast_scans, make_scene, scan_rays
 from triform.simulation.profiles import Profile
 from triform.simulation.sensors import SensorSuite, padded, stretches
 from triform.simulation.spawning import sample_starts, world_seeds
@@ -78,6 +78,7 @@ class World:
         arena: Arena | None = None,
         seeds: Sequence[int | np.random.SeedSequence] | None = None,
         active: ArrayLike | None = None,
+        from_lidar: bool = False,
     ) -> None:
         """Place the robots at rest.
 
@@ -87,6 +88,8 @@ class World:
             arena: Walls and pillars; by default none.
             seeds: One seed for every world; may be left out if the profile has no random errors.
             active: Which robots exist, shape (B, N); by default all.
+            from_lidar: Whether views show scans as the LiDARs measure them, each from where it is mounted, as the
+                driver of a real one does; controllers want them from the base's centre.
 
         Raises:
             ConfigurationError: If shapes do not fit, an active robot's pose is not finite, or seeds are missing.
@@ -120,15 +123,16 @@ class World:
         self._hit_arena = np.zeros(worlds, dtype=np.bool_)
         self._time = 0.0
         self._held = np.zeros_like(placed)
-        self._kinds = [
-            _Kind(kind, own, SensorSuite(kind, self._poses[:, own], self._active[:, own], seeds, own.start))
-            for kind, own in zip(composition.profiles, composition.slices(robots), strict=True)
-        ]
+        self._kinds: list[_Kind] = []
+        for each, own in zip(composition.profiles, composition.slices(robots), strict=True):
+            given = (self._poses[:, own], self._active[:, own], seeds, self._arena, from_lidar, own.start)
+            self._kinds.append(_Kind(each, own, SensorSuite(each, *given)))
         self._arrange()
         self._record()
         for kind in self._kinds:
             if not kind.profile.lidar.rolling:
-                kind.senses.finish(self._snapshot(kind), self._poses[:, kind.robots], self._active[:, kind.robots])
+                ranges, hits = self._snapshot(kind)
+                kind.senses.finish(ranges, self._poses[:, kind.robots], self._active[:, kind.robots], hits)
 
     @property
     def composition(self) -> Composition:
@@ -223,8 +227,8 @@ class World:
             self._time = stop
             for kind in self._kinds:
                 if kind.senses in ending:
-                    ranges = None if kind.profile.lidar.rolling else self._snapshot(kind)
-                    kind.senses.end_turn(ranges, self._poses[:, kind.robots], self._active[:, kind.robots])
+                    ranges, hits = (None, None) if kind.profile.lidar.rolling else self._snapshot(kind)
+                    kind.senses.end_turn(ranges, self._poses[:, kind.robots], self._active[:, kind.robots], hits)
         self._time = end
 
     def add_robot(self, world: int, pose: ArrayLike) -> int:
@@ -343,19 +347,18 @@ class World:
             rays = scan_rays(profile.from_lidar, profile.mounting.x, profile.mounting.y)
             ray_period = profile.lidar.period / profile.lidar.scan.rays
             begun = (kind.robots.start, due, senses.elapsed(self._time), ray_period, rays)
-            turns.append(LidarTurn(*begun, senses.offsets, senses.ranges))
+            turns.append(LidarTurn(*begun, senses.offsets, senses.ranges, senses.hits))
             work += int(due[-1] - due[0]) * self._active[:, kind.robots].size
         motion = Motion(self._poses, self._velocities, targets, self._active, self._bounds, self._limits, step)
         advance = partial(advance_worlds, motion, self._scene, self._contacts, tuple(turns))
         in_parts(advance, len(self._active), work, MOVING_RAYS_PER_THREAD)
 
-    def _snapshot(self, kind: _Kind) -> RangeArray:
-        """All rays of one kind at this moment, without range noise."""
-        profile, mounting, robots = kind.profile, kind.profile.mounting, kind.robots
-        offsets = kind.senses.draw_offsets(self._active[:, robots])
-        eye = (mounting.x, mounting.y)
-        scene = (self._outlines, self._arena, profile.from_lidar, offsets, np.float32, eye, robots)
-        return np.ascontiguousarray(cast_scans(self._poses, self._active, *scene))
+    def _snapshot(self, kind: _Kind) -> tuple[RangeArray, HitArray | None]:
+        """All rays of one kind at this moment, without range noise, and what they hit if intensities are asked for."""
+        profile, robots, active = kind.profile, kind.robots, self._active[:, kind.robots]
+        hits, eye = kind.senses.no_hits(active), (profile.mounting.x, profile.mounting.y)
+        scene = (self._outlines, self._arena, profile.from_lidar, kind.senses.draw_offsets(active), np.float32, eye)
+        return np.ascontiguousarray(cast_scans(self._poses, self._active, *scene, robots, hits)), hits
 
     def _grow(self) -> None:
         """Append one place to axis N of everything."""

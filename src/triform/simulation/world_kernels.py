@@ -64,6 +64,7 @@ class LidarTurn(NamedTuple):
         scan: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, M, R) [rad], or (B, M, 0) for none.
         ranges: The turn, shape (B, M, R) [m].
+        hits: What its rays hit, see ``cast_moving``, shape (B, M, R), or (B, M, 0) if nobody asks.
     """
 
     robot: int
@@ -73,6 +74,7 @@ class LidarTurn(NamedTuple):
     scan: ScanRays
     offsets: Any
     ranges: Any
+    hits: Any
 
 
 @kernel
@@ -153,7 +155,8 @@ def _advance_world(b: int, motion: Any, scene: Any, contacts: Any, turns: Any) -
             if last > first:
                 first_share = (first * turn.ray_period - (turn.elapsed + s * step)) / step
                 due = DueRays(turn.robot, first, last, first_share, turn.ray_period / step)
-                cast_moving(before, poses, active, near, scene, turn.scan, turn.offsets[b], due, turn.ranges[b])
+                measured = turn.ranges[b], turn.hits[b]
+                cast_moving(before, poses, active, near, scene, turn.scan, turn.offsets[b], due, *measured)
     contacts.min_distance[b], contacts.collided[b], contacts.hit_arena[b] = min_distance, collided, hit_arena
 
 

@@ -10,7 +10,15 @@ from types import TracebackType
 import numpy as np
 
 from triform.robots.ldrobot.models import LidarModel
-from triform.robots.ldrobot.packets import CLOCK_WRAP, FULL_TURN, PACKET, SAMPLES, encode_packets, sample_angles
+from triform.robots.ldrobot.packets import (
+    CLOCK_WRAP,
+    FULL_TURN,
+    LARGEST_INTENSITY,
+    PACKET,
+    SAMPLES,
+    encode_packets,
+    sample_angles,
+)
 from triform.simulation.mounting import Mounting
 from triform.types import FloatArray, RangeArray, TriformError, require
 
@@ -35,7 +43,7 @@ class LidarEmulator:
 
         Args:
             model: The LiDAR.
-            rng: Source of the first angle and time, and of changes of speed and intensity.
+            rng: Source of the first angle and time, and of changes of speed.
             link: Where a link to the pseudo-terminal is put, for a name that stays the same; an older link is replaced.
             mounting: How the LiDAR is mounted; upright, its zero forward, if ``None``.
 
@@ -65,7 +73,7 @@ class LidarEmulator:
         # Packets whose directions are known; the first sample of the first is number _sent of all.
         self._packets = np.zeros(0, dtype=PACKET)
         self._sent = 0
-        self._ranges = np.zeros(0)
+        self._ranges, self._intensities = np.zeros(0), np.zeros(0)
 
     def _link(self, link: Path, terminal: Path) -> None:
         try:
@@ -122,31 +130,37 @@ class LidarEmulator:
         more["timestamp"] = (self._boot + 1000 * lasts / self._model.samples_per_second) % CLOCK_WRAP
         self._packets = np.concatenate([self._packets, more])
 
-    def emit(self, ranges: RangeArray) -> None:
+    def emit(self, ranges: RangeArray, intensities: RangeArray) -> None:
         """Send the ranges measured in the directions that ``due`` returned last.
 
         Args:
             ranges: Ranges [m], shape (K,); what is beyond the LiDAR's reach, and what is no range, becomes a distance
                 of 0 as no return does, and what is too close one of 1 mm.
+            intensities: How bright these returns are, 0 to 255, shape (K,).
 
         Raises:
             ConfigurationError: If they are not as many as were due.
         """
         held = self._issued - self._sent - len(self._ranges)
-        require(ranges.shape == (held,), f"ranges of shape {ranges.shape} given; ({held},) were due")
+        require(
+            ranges.shape == intensities.shape == (held,),
+            f"ranges of shape {ranges.shape} and intensities of shape {intensities.shape} given; ({held},) were due",
+        )
         self._ranges = np.concatenate([self._ranges, ranges])
+        self._intensities = np.concatenate([self._intensities, intensities])
         full = len(self._ranges) // SAMPLES
         if full == 0:
             return
         packets, self._packets = self._packets[:full], self._packets[full:]
         measured, self._ranges = self._ranges[: full * SAMPLES], self._ranges[full * SAMPLES :]
+        bright, self._intensities = self._intensities[: full * SAMPLES], self._intensities[full * SAMPLES :]
         self._sent += full * SAMPLES
         near = measured <= self._model.range_max
         metres = np.maximum(np.where(near, measured, 0.0), 0.0)
-        glow = 220 - 15 * metres + self._rng.normal(0, 5, len(metres))
+        levels = np.clip(np.rint(bright), 1, LARGEST_INTENSITY)
         samples = packets["samples"]
         samples["distance"] = np.where(near, np.maximum(np.rint(1000 * metres), 1), 0).reshape(full, SAMPLES)
-        samples["intensity"] = np.where(near, np.clip(glow, 1, 255), 0).reshape(full, SAMPLES)
+        samples["intensity"] = np.where(near, levels, 0).reshape(full, SAMPLES)
         self._write(encode_packets(packets))
 
     def _write(self, data: bytes) -> None:

@@ -27,7 +27,7 @@ SAMPLES = 12
 #: The clock of the LiDAR starts again at this number [ms].
 CLOCK_WRAP = 30000
 #: One packet as it is on the line: rate of rotation [deg/s], angles of the first and the last sample [0.01 deg]
-#: (clockwise), samples (distance [mm], 0 for no return; intensity), and the time at which it was made [ms].
+#: (clockwise), samples (distance [mm], 0 for no return; intensity, 0 to 255), and the time at which it was made [ms].
 PACKET = np.dtype(
     [
         ("header", "u1"),
@@ -41,6 +41,8 @@ PACKET = np.dtype(
     ]
 )
 PACKET_BYTES = PACKET.itemsize
+#: Brightest return that a packet can tell.
+LARGEST_INTENSITY = 255
 #: A full turn in the packets' angles.
 FULL_TURN = 36000
 #: Arrays of ``PACKET``, shape (K,).

@@ -45,11 +45,11 @@ _WIRE_TIME = PACKET_BYTES / LINE_RATE
 
 
 @kernel
-def _enter_into(places: Any, ranges: Any, reach: float, apart: Any, row: Any) -> None:
+def _enter_into(places: Any, ranges: Any, intensities: Any, reach: float, apart: Any, row: Any, levels: Any) -> None:
     """Enter samples at ``places`` [spacings after the gap] into the rays ``row`` that they are nearest to.
 
     Rays are in the order in which the LiDAR passes them; ``apart`` holds how far from each ray the sample is that it
-    has [spacings].
+    has [spacings], and ``levels`` gets its intensity.
     """
     rays = row.shape[0]
     for k in range(places.shape[0]):
@@ -60,6 +60,7 @@ def _enter_into(places: Any, ranges: Any, reach: float, apart: Any, row: Any) ->
             if distance < apart[slot] or (distance == apart[slot] and ranges[k] < row[slot]):
                 apart[slot] = distance
                 row[slot] = ranges[k]
+                levels[slot] = intensities[k]
 
 
 class TurnAssembler:
@@ -84,7 +85,7 @@ class TurnAssembler:
         self._zero += 0.5 * self._entered
         self._rays_per_degree = rays / 360
         self._lags = np.arange(SAMPLES)[::-1] / model.samples_per_second
-        self._row = np.empty(rays, dtype=np.float32)
+        self._row, self._levels = np.empty(rays, dtype=np.float32), np.empty(rays, dtype=np.float32)
         self._apart = np.empty(rays)
         self._stamp, self._clock, self._offset = 0, 0.0, math.nan
         self._begin_anew()
@@ -95,6 +96,7 @@ class TurnAssembler:
 
     def _begin_turn(self, whole: bool) -> None:
         self._row.fill(np.nan)
+        self._levels.fill(0.0)
         self._apart.fill(np.inf)
         self._first, self._last = math.inf, math.inf
         self._whole = whole
@@ -136,6 +138,7 @@ class TurnAssembler:
         places = (sample_angles(packets) * self._rays_per_degree + self._zero) % rays
         times = (clock[:, None] - self._lags).ravel()
         ranges = self._measured(packets["samples"]["distance"].ravel())
+        intensities = packets["samples"]["intensity"].ravel()
 
         place, time = (places[0], times[0]) if math.isnan(self._place) else (self._place, self._time)
         ahead = (np.diff(places, prepend=place) + rays / 2) % rays - rays / 2
@@ -155,14 +158,20 @@ class TurnAssembler:
                 finished += self._finish()
             kept = samples[turns[samples] == newest[samples]]
             if len(kept):
-                _enter_into(places[kept], ranges[kept], self._reach, self._apart, self._row)
+                samples_kept = places[kept], ranges[kept], intensities[kept]
+                _enter_into(*samples_kept, self._reach, self._apart, self._row, self._levels)
                 self._first = min(self._first, float(times[kept[0]]))
                 self._last = float(times[kept[-1]])
         return finished
 
     def _finish(self) -> list[Turn]:
         """End a turn; return it if it is worth it."""
-        turn = Turn(self._row[:: self._entered].copy(), self._first + self._offset, self._last + self._offset)
+        turn = Turn(
+            self._row[:: self._entered].copy(),
+            self._first + self._offset,
+            self._last + self._offset,
+            self._levels[:: self._entered].copy(),
+        )
         worth = self._whole and (~np.isnan(turn.ranges)).mean() >= LEAST_MEASURED
         self._begin_turn(whole=True)
         return [turn] if worth else []

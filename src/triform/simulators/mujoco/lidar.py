@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from triform.simulation.lidar import HitArray
 from triform.simulators.chassis import LIDAR_HEIGHT
 from triform.threads import in_parts
 from triform.types import BoolArray, FloatArray, RangeArray, ScanConfig
@@ -27,6 +28,8 @@ class RayCaster:
         self._model = model
         self._scan = scan
         self._eye = np.array([*eye, LIDAR_HEIGHT])
+        # Walls and pillars come first in the model, in their order.
+        self._obstacles = int(model.body("arena").geomnum[0])
 
     def cast_into(
         self,
@@ -35,6 +38,7 @@ class RayCaster:
         active: BoolArray,
         rays: slice = slice(None),
         offsets: FloatArray | None = None,
+        hits: HitArray | None = None,
     ) -> None:
         """Measure some of the rays, at one instant and without errors of range.
 
@@ -45,6 +49,7 @@ class RayCaster:
             active: Which robots exist, shape (B, N).
             rays: Which rays.
             offsets: Errors of the angles of all rays, shape (B, N, R) [rad].
+            hits: Gets what these rays hit in place, shape (B, N, R), as ``cast_moving`` says it.
         """
         angles = self._scan.angles[rays]
         if len(angles) == 0:
@@ -53,7 +58,7 @@ class RayCaster:
 
         def cast(first: int, last: int) -> None:
             data = mujoco.MjData(self._model)
-            hits, geometries = np.empty(len(angles)), np.empty(len(angles), np.int32)
+            found, geometries = np.empty(len(angles)), np.empty(len(angles), np.int32)
             for b in range(first, last):
                 data.mocap_pos[:], data.mocap_quat[:] = frames[b, :, :3], frames[b, :, 3:]
                 mujoco.mj_kinematics(self._model, data)
@@ -63,9 +68,11 @@ class RayCaster:
                     directions = exact if offsets is None else _directions(angles + offsets[b, i, rays])
                     mujoco.mj_multiRay(
                         self._model, data, data.xpos[body] + self._eye @ axes, (directions @ axes[:2]).ravel(), None,
-                        True, body, geometries, hits, None, len(angles), self._scan.range_max,
+                        True, body, geometries, found, None, len(angles), self._scan.range_max,
                     )  # fmt: skip
-                    ranges[b, i, rays] = self._limited(hits)
+                    ranges[b, i, rays] = self._limited(found)
+                    if hits is not None:
+                        hits[b, i, rays] = np.minimum(geometries, self._obstacles)
 
         in_parts(cast, len(frames), active.sum() * len(angles), _RAYS_PER_THREAD)
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import limit_twists
+from triform.simulation.lidar import HitArray
 from triform.simulation.profiles import Profile
 from triform.simulation.sensors import SensorSuite
 from triform.simulators.chassis import BASES, Base, braked, check_base
@@ -108,9 +109,10 @@ class MujocoTeam:
         for b, i in np.ndindex(worlds, robots):
             self._motion.place(b, i, placed[b, i])
         self._approach()
-        self._senses = SensorSuite(self._braked, self.poses, self._active, seeds)
+        self._senses = SensorSuite(self._braked, self.poses, self._active, seeds, self.arena)
         if not profile.lidar.rolling:
-            self._senses.finish(self._snapshot(), self.poses, self._active)
+            ranges, hits = self._snapshot()
+            self._senses.finish(ranges, self.poses, self._active, hits)
 
     @property
     def poses(self) -> FloatArray:
@@ -149,8 +151,8 @@ class MujocoTeam:
             self._advance(targets, stop, turn_ends)
             self.time = stop
             if turn_ends:
-                ranges = None if self.profile.lidar.rolling else self._snapshot()
-                self._senses.end_turn(ranges, self.poses, self._active)
+                ranges, hits = (None, None) if self.profile.lidar.rolling else self._snapshot()
+                self._senses.end_turn(ranges, self.poses, self._active, hits)
         self.time = end
 
     def add_robot(self, world: int, pose: ArrayLike) -> int:
@@ -233,7 +235,8 @@ class MujocoTeam:
             self._step_until(self.time + (look + 1) * period, targets)
             if rolling:
                 due = slice(int(bounds[look]), int(bounds[look + 1]))
-                self._rays.cast_into(self._senses.ranges, self._motion.frames, self._active, due, self._offsets)
+                senses, hits = self._senses, self._senses.hits if self._senses.is_bright else None
+                self._rays.cast_into(senses.ranges, self._motion.frames, self._active, due, self._offsets, hits)
 
     def _step_until(self, time: float, targets: FloatArray) -> None:
         """Take the steps of the physics up to the one nearest to ``time`` [s]."""
@@ -256,12 +259,12 @@ class MujocoTeam:
         """Errors of the angles of a rolling turn, shape (B, N, R) [rad]; ``None`` without any."""
         return self._senses.offsets if self._senses.offsets.shape[2] else None
 
-    def _snapshot(self) -> RangeArray:
-        """All rays at this moment, without errors of range, shape (B, N, R) [m]."""
+    def _snapshot(self) -> tuple[RangeArray, HitArray | None]:
+        """All rays at this moment, without errors of range, and what they hit if asked for, shapes (B, N, R)."""
         ranges = np.full((*self._active.shape, self.profile.lidar.scan.rays), np.inf, np.float32)
-        offsets = self._senses.draw_offsets(self._active)
-        self._rays.cast_into(ranges, self._motion.frames, self._active, offsets=offsets)
-        return ranges
+        offsets, hits = self._senses.draw_offsets(self._active), self._senses.no_hits(self._active)
+        self._rays.cast_into(ranges, self._motion.frames, self._active, offsets=offsets, hits=hits)
+        return ranges, hits
 
     def _approach(self) -> None:
         """Fold the distances between robots into the smallest."""

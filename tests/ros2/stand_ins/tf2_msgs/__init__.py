@@ -1,0 +1,1 @@
+"""A stand-in for the package ``tf2_msgs``, of which there are no wheels."""
