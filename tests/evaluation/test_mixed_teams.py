@@ -15,6 +15,7 @@ from triform.control import ControllerSpec, MixedController, SafetyFilter, drive
 from triform.evaluation import Scenario
 from triform.evaluation.events import Event
 from triform.evaluation.filters import team_settings
+from triform.evaluation.overrides import Overrides
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.experiments.settings import describe
 from triform.mixed import MixedView
@@ -43,6 +44,20 @@ def test_each_kind_is_steered_as_a_team_of_its_own_with_its_scans() -> None:
         for profile, part, robots in zip(scenario.team.profiles, view.parts, view.robots, strict=True):
             alone = make_controller(name, footprint=profile.footprint.size)
             np.testing.assert_array_equal(commands[:, robots], alone.command(part))
+
+
+def test_each_kind_has_the_threshold_of_its_own_lidar() -> None:
+    bright = Overrides(min_intensity=150.0)
+    scenario = Scenario("hardware:2 ideal:3", arena="pillars", overrides=bright)
+    view = _view(scenario, 1.0)
+    controller = scenario.make_controller("scan-pipeline")
+    description = controller.description["kinds"]
+    assert [kind["min_intensity"] for kind in description] == [150.0, 150.0]
+    for part in view.parts:
+        assert part.scans.intensities is not None
+    assert np.isfinite(controller.command(view)).all()
+    # One that sees all poses of the team sees no scans.
+    assert np.isfinite(scenario.make_controller("triangulating").command(view)).all()
 
 
 @pytest.mark.parametrize("name", ["triangulating", "gnn"])

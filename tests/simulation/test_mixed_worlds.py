@@ -31,7 +31,9 @@ def _drive(world: World, seconds: float, seed: int = 0) -> None:
 def test_kinds_of_one_profile_are_one_kind() -> None:
     """Poses, contacts, scans with their noise, odometry and exploration noise, to the bit."""
     poses, arena = sample_starts(5, 2, 1), get_arena("pillars")
-    for profile in (HARDWARE, TURTLEBOT4, replace(IDEAL, lidar=replace(HARDWARE.lidar, angle_noise=0.01))):
+    taped = replace(HARDWARE.lidar, angle_noise=0.01, min_intensity=150.0)
+    at_once = replace(taped, rolling=False)
+    for profile in (HARDWARE, TURTLEBOT4, replace(IDEAL, lidar=taped), replace(TURTLEBOT4, lidar=at_once)):
         one = World(poses, profile, arena, seeds=[3, 4])
         two = World(poses, Composition((profile, profile), (2, 3)), arena, seeds=[3, 4])
         for _ in range(10):
@@ -39,6 +41,9 @@ def test_kinds_of_one_profile_are_one_kind() -> None:
             assert isinstance(parts, MixedView)
             for part, robots in zip(parts.parts, parts.robots, strict=True):
                 np.testing.assert_array_equal(part.scans.ranges, seen.scans.ranges[:, robots])
+                if seen.scans.intensities is not None:
+                    np.testing.assert_array_equal(part.scans.intensities, seen.scans.intensities[:, robots])
+                    assert (part.scans.intensities > 0).any()
             for name in ("poses", "noise", "odometry", "active", "time"):
                 np.testing.assert_array_equal(getattr(parts, name), getattr(seen, name))
             commands = np.random.default_rng(5).normal(0, 0.1, (2, 5, 3))
