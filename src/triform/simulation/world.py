@@ -349,7 +349,9 @@ class World:
             begun = (kind.robots.start, due, senses.elapsed(self._time), ray_period, rays)
             turns.append(LidarTurn(*begun, senses.offsets, senses.ranges, senses.hits))
             work += int(due[-1] - due[0]) * self._active[:, kind.robots].size
-        motion = Motion(self._poses, self._velocities, targets, self._active, self._bounds, self._limits, step)
+        casts = any(turn.ray_bounds[-1] > turn.ray_bounds[0] for turn in turns)
+        state = (self._poses, self._velocities, targets, self._active)
+        motion = Motion(*state, self._bounds, self._limits, step, casts)
         advance = partial(advance_worlds, motion, self._scene, self._contacts, tuple(turns))
         in_parts(advance, len(self._active), work, MOVING_RAYS_PER_THREAD)
 

@@ -27,6 +27,7 @@ class Motion(NamedTuple):
         kinds: First robot of each kind, see ``drive_team``.
         limits: Of the drive of each kind, see ``drive_team``.
         step: Length of one integration step [s].
+        casts: Whether a LiDAR measures meanwhile.
     """
 
     poses: Any
@@ -36,6 +37,7 @@ class Motion(NamedTuple):
     kinds: Any
     limits: Any
     step: float
+    casts: bool
 
 
 class Contacts(NamedTuple):
@@ -132,23 +134,21 @@ def _advance_world(b: int, motion: Any, scene: Any, contacts: Any, turns: Any) -
     body, step, steps = scene.body, motion.step, turns[0].ray_bounds.shape[0] - 1
     travel = _longest_travel(velocities, targets, active, steps * step)
     pairs = _close_pairs(poses, active, body, min_distance, collided, travel)
-    sight = 0.0
-    for turn in turns:
-        if turn.ray_bounds[steps] > turn.ray_bounds[0]:
-            sight = max(sight, seen_within(body, turn.scan, travel))
-    casts = sight > 0.0
     near = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
-    if casts:
+    if motion.casts:
+        sight = 0.0
+        for turn in turns:
+            sight = max(sight, seen_within(body, turn.scan, travel))
         near = list_near(poses, active, sight)
     before = np.empty_like(poses)
     for s in range(steps):
-        if casts:
+        if motion.casts:
             before[:] = poses
         drive_team(poses, velocities, targets, active, motion.kinds, motion.limits, step)
         min_distance, collided = _record_pairs(poses, pairs, body, min_distance, collided)
         if not hit_arena:
             hit_arena = any_hits_arena(poses, active, scene)
-        if not casts:
+        if not motion.casts:
             continue
         for turn in turns:
             first, last = turn.ray_bounds[s], turn.ray_bounds[s + 1]
