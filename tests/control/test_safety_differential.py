@@ -16,6 +16,7 @@ from triform.control import SafetyFilter, SafetySettings, make_controller, rolli
 from triform.evaluation.scenario import Scenario
 from triform.simulation import (
     Arena,
+    Composition,
     Drive,
     Footprint,
     LidarConfig,
@@ -73,7 +74,7 @@ class Given:
 def guarded(controller, profile: Profile) -> SafetyFilter:
     """The filter that a scenario of these robots has."""
     scenario = Scenario()
-    object.__setattr__(scenario, "_robot", profile)
+    object.__setattr__(scenario, "_team", Composition.of(profile))
     filtered = scenario.make_controller(controller)
     assert isinstance(filtered, SafetyFilter)
     return filtered

@@ -24,15 +24,15 @@ def assert_picture(path):
 
 
 def test_outlines_are_turned_with_the_robot():
-    (outline,) = footprint_outlines(np.array([[1.0, 2.0, np.pi / 2]]), ROBOMASTER_EP)
+    (outline,) = footprint_outlines(np.array([[1.0, 2.0, np.pi / 2]]), [ROBOMASTER_EP])
     half = np.abs(outline - [1.0, 2.0])
     np.testing.assert_allclose(half, np.broadcast_to([0.12, 0.16], (4, 2)), atol=1e-12)
-    (mark,) = heading_marks(np.array([[1.0, 2.0, np.pi / 2]]), ROBOMASTER_EP)
+    (mark,) = heading_marks(np.array([[1.0, 2.0, np.pi / 2]]), [ROBOMASTER_EP])
     np.testing.assert_allclose(mark, [[1.0, 2.0], [1.0, 2.16]], atol=1e-12)
 
 
 def test_circles_are_round():
-    (outline,) = footprint_outlines(np.zeros((1, 3)), Footprint.circle(0.3))
+    (outline,) = footprint_outlines(np.zeros((1, 3)), [Footprint.circle(0.3)])
     np.testing.assert_allclose(np.linalg.norm(outline, axis=-1), 0.15)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from tests.fuzz.trials import campaign, options
 from triform.evaluation.scenario import Scenario
-from triform.simulation import Drive, Footprint, LidarConfig, Profile, World, constant_noise, sample_starts
+from triform.simulation import Composition, Drive, Footprint, LidarConfig, Profile, World, constant_noise, sample_starts
 from triform.types import FloatArray, PrivilegedView, ScanConfig
 
 
@@ -72,7 +72,7 @@ def crash(rng: np.random.Generator) -> str:
     seed, robots, hold = int(rng.integers(2**31)), int(rng.integers(2, 8)), rng.uniform(0.1, 1.5)
     scenario = Scenario()
     # A scenario looks its robot up by name; this one has none.
-    object.__setattr__(scenario, "_robot", robot)
+    object.__setattr__(scenario, "_team", Composition.of(robot))
     world = World(sample_starts(robots, 1, seed), robot, seeds=[seed])
     controller = scenario.make_controller(Reckless(seed, hold))
     for _ in range(150):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from shapely import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from triform.simulation import IDEAL, ROBOMASTER_EP, Arena, Footprint, Profile, World
+from triform.simulation import IDEAL, ROBOMASTER_EP, Arena, Composition, Footprint, Profile, World
 
 Array = NDArray[np.float64]
 DISC = Footprint.circle(0.3)
@@ -40,6 +40,32 @@ def test_robots_match_shapely(footprint: Footprint) -> None:
         counts[int(expected)] += 1
     assert min(counts) > 100
     np.testing.assert_allclose(world.min_distance, np.linalg.norm(poses[:, 0, :2] - poses[:, 1, :2], axis=1))
+
+
+SMALL, LONG, WIDE = Footprint.circle(0.2), Footprint.box(0.5, 0.1), Footprint.circle(0.5)
+
+
+@pytest.mark.parametrize("pair", [(DISC, WIDE), (ROBOMASTER_EP, SMALL), (WIDE, LONG), (LONG, ROBOMASTER_EP)])
+def test_robots_of_two_kinds_match_shapely(pair: tuple[Footprint, Footprint]) -> None:
+    poses = np.random.default_rng(3).uniform([-0.4, -0.4, -np.pi], [0.4, 0.4, np.pi], (600, 2, 3))
+    kinds = tuple(Profile("test", footprint=footprint) for footprint in pair)
+    arena = Arena("arena", np.array([[0.3, -2, 0.3, 2]]), np.array([[-0.3, 0.0, 0.1]]))
+    world = World(poses, Composition(kinds, (1, 1)), arena)
+    reaches = [footprint.half_length if footprint.is_circle else 0.0 for footprint in pair]
+    counts = [0, 0]
+    for robots, collided, hit in zip(poses, world.collided, world.hit_arena, strict=True):
+        shapes = [_shape(pose, footprint) for pose, footprint in zip(robots, pair, strict=True)]
+        both_boxes = sum(reaches) == 0
+        expected = shapes[0].intersects(shapes[1]) if both_boxes else _depth(*shapes, sum(reaches)) > 0
+        assert collided == expected
+        obstacles = (LineString([(0.3, -2), (0.3, 2)]), 0.0), (Point(-0.3, 0.0), 0.1)
+        assert hit == any(
+            _depth(shape, obstacle, reach + own) > 0 or (reach + own == 0 and shape.intersects(obstacle))
+            for shape, reach in zip(shapes, reaches, strict=True)
+            for obstacle, own in obstacles
+        )
+        counts[int(collided)] += 1
+    assert min(counts) > 50
 
 
 @pytest.mark.parametrize("footprint", [ROBOMASTER_EP, DISC], ids=["box", "circle"])

@@ -34,6 +34,9 @@ from triform.types import ConfigurationError, ScanConfig
 Array = NDArray[np.float64]
 CONFIG = ScanConfig(rays=450, range_min=0.02, range_max=2.0)
 DISC = Footprint.circle(0.3)
+Outlines = Footprint | tuple[Footprint, ...]
+#: Outlines of the robots of a mixed team.
+MIXED = (DISC, ROBOMASTER_EP, Footprint.box(0.15, 0.5), DISC, Footprint.circle(0.6), ROBOMASTER_EP, DISC)
 
 
 def _box(pose: Array, footprint: Footprint) -> Polygon:
@@ -60,7 +63,7 @@ def _limited(distance: float, config: ScanConfig) -> float:
 
 
 def _oracle(
-    poses: Array, active: Array, observer: int, angle: float, footprint: Footprint, arena: Arena, config: ScanConfig
+    poses: Array, active: Array, observer: int, angle: float, outlines: Outlines, arena: Arena, config: ScanConfig
 ) -> tuple[float, bool]:
     """Range of one ray at a world-frame angle by Shapely, and whether it may not be compared (grazes an end)."""
     origin, direction = poses[observer, :2], np.array([np.cos(angle), np.sin(angle)])
@@ -68,6 +71,7 @@ def _oracle(
     solids: list[BaseGeometry] = [LineString(wall.reshape(2, 2)) for wall in arena.walls]
     circles = [(pillar[:2], pillar[2]) for pillar in arena.pillars]
     for j in np.flatnonzero(active):
+        footprint = outlines[j] if isinstance(outlines, tuple) else outlines
         if j != observer and footprint.is_circle:
             circles.append((poses[j, :2], footprint.half_length))
         elif j != observer:
@@ -97,10 +101,10 @@ def _check(ranges: float, expected: float) -> None:
         assert ranges == expected
 
 
-@pytest.mark.parametrize("footprint", [ROBOMASTER_EP, DISC], ids=["box", "circle"])
+@pytest.mark.parametrize("footprint", [ROBOMASTER_EP, DISC, MIXED], ids=["box", "circle", "mixed"])
 @pytest.mark.parametrize("scene", range(6))
-def test_random_scenes_match_shapely(scene: int, footprint: Footprint) -> None:
-    rng = np.random.default_rng([scene, footprint.is_circle])
+def test_random_scenes_match_shapely(scene: int, footprint: Outlines) -> None:
+    rng = np.random.default_rng([scene, footprint == DISC])
     robots = 7
     poses = rng.uniform([-2, -2, -np.pi], [2, 2, np.pi], (1, robots, 3))
     active = rng.random((1, robots)) < 0.85
@@ -121,8 +125,8 @@ def test_random_scenes_match_shapely(scene: int, footprint: Footprint) -> None:
     assert compared > 100
 
 
-@pytest.mark.parametrize("footprint", [ROBOMASTER_EP, DISC], ids=["box", "circle"])
-def test_rolling_turn_with_angle_errors_matches_a_slow_oracle(footprint: Footprint) -> None:
+@pytest.mark.parametrize("footprint", [ROBOMASTER_EP, DISC, MIXED[:5]], ids=["box", "circle", "mixed"])
+def test_rolling_turn_with_angle_errors_matches_a_slow_oracle(footprint: Outlines) -> None:
     rng = np.random.default_rng(5)
     robots, config = 5, ScanConfig(rays=211, range_min=0.1, range_max=3.0)
     start = rng.uniform([-1.5, -1.5, -np.pi], [1.5, 1.5, np.pi], (1, robots, 3))
@@ -137,6 +141,25 @@ def test_rolling_turn_with_angle_errors_matches_a_slow_oracle(footprint: Footpri
         expected, grazes = _oracle(poses, active[0], i, angle, footprint, arena, config)
         if not grazes:
             _check(ranges[0, i, k], expected)
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_some_robots_measure_what_they_measure_among_all(large: bool) -> None:
+    """Of a large team too, which is cast by cells, and ray by ray with errors of angle."""
+    rng, robots = np.random.default_rng(6), 40 if large else 7
+    poses = rng.uniform([-2, -2, -np.pi], [2, 2, np.pi], (2, robots, 3))
+    outlines = tuple(itertools.islice(itertools.cycle(MIXED), robots))
+    scene, some = (outlines, _scene(rng), CONFIG), slice(2, 5)
+    everyone = np.ones((2, robots), dtype=bool)
+    whole = cast_scans(poses, everyone, *scene)
+    np.testing.assert_array_equal(cast_scans(poses, everyone, *scene, robots=some), whole[:, some])
+    nothing = np.zeros((2, 3, CONFIG.rays))
+    by_ray = cast_rolling(poses, poses, everyone, *scene, nothing, robots=some)
+    finite = np.isfinite(whole[:, some]) & np.isfinite(by_ray)
+    np.testing.assert_allclose(by_ray[finite], whole[:, some][finite], atol=1e-9)
+    assert finite.mean() > 0.99 * np.isfinite(whole[:, some]).mean() > 0.1
+    with pytest.raises(ConfigurationError, match="2 footprints given for"):
+        cast_scans(poses, everyone, MIXED[:2], *scene[1:])
 
 
 def test_headings_of_a_rolling_turn_take_the_shorter_way() -> None:

@@ -2,7 +2,8 @@
 
 All is taken from the dataclass of a command and its docstring, so that libraries need not know a command line. What an
 attribute's line says decides its placeholder: ``[s]`` makes SECONDS, and *Folder of ...* makes FOLDER. Attributes named
-in ``GROUPS`` of a command, and those of nested dataclasses, have a heading of their own in the help.
+in ``GROUPS`` of a command, and those of nested dataclasses, have a heading of their own in the help. Those named in
+``WORDS`` are one text, given as one or several words.
 """
 
 from __future__ import annotations
@@ -64,6 +65,15 @@ _KINDS: dict[Any, str] = {
     ControllerSpec: "CONTROLLER",
 }
 
+#: Reads one or several words as one text.
+_TEXT = PrimitiveConstructorSpec(
+    nargs="*",
+    metavar="NAME|FILE[:ROBOTS] ...",
+    instance_from_str=" ".join,
+    is_instance=lambda value: isinstance(value, str),
+    str_from_instance=lambda value: [value],
+)
+
 registry = ConstructorRegistry()
 
 
@@ -94,7 +104,10 @@ def _options(info: StructTypeInfo) -> StructConstructorSpec | None:
         elif each.default_factory is not MISSING:
             default = each.default_factory()
         text = helps.get(each.name, "")
-        options[each.name] = StructFieldSpec(each.name, _shown(types[each.name], text, default), default, text)
+        shown = _shown(types[each.name], text, default)
+        if each.name in getattr(kind, "WORDS", ()):
+            shown = Annotated[types[each.name], _TEXT]
+        options[each.name] = StructFieldSpec(each.name, shown, default, text)
     groups: dict[str, tuple[str, ...]] = getattr(kind, "GROUPS", {})
     for name, members in groups.items():
         held = type(name, (_Group,), {"options": tuple(options.pop(member) for member in members)})

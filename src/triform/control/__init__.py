@@ -5,6 +5,7 @@ from triform.control.gnn import GnnController
 from triform.control.intensity import IntensityThreshold, bright_returns
 from triform.control.learned import LearnedPolicy
 from triform.control.loop import control_steps, drive
+from triform.control.mixed import MixedController
 from triform.control.registry import (
     CONTROLLERS,
     POLICY,
@@ -29,6 +30,7 @@ __all__ = [
     "GnnController",
     "IntensityThreshold",
     "LearnedPolicy",
+    "MixedController",
     "SafetyFilter",
     "SafetySettings",
     "ScanPipeline",

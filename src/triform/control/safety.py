@@ -157,8 +157,12 @@ class SafetyFilter(Generic[ViewIn]):
 
     def command(self, view: ViewIn) -> FloatArray:
         """Return body twists, shape (B, N, 3)."""
+        return self.limit(view, self._controller.command(view))
+
+    def limit(self, view: ViewIn, wanted: FloatArray) -> FloatArray:
+        """Return body twists that are wanted, as limited by what robots see, shape (B, N, 3)."""
         guard, arcs, config = self._guard, self._guard.arcs, view.scans.config
-        commands = np.array(self._controller.command(view), dtype=np.float64, order="C")
+        commands = np.array(wanted, dtype=np.float64, order="C")
         ranges = np.ascontiguousarray(view.scans.ranges).reshape(-1, config.rays)
         active = np.ascontiguousarray(view.active).reshape(-1)
         resting = np.zeros((len(active), 3)) if view.odometry is None else view.odometry.reshape(-1, 3)

@@ -70,7 +70,7 @@ def sample_clear_addition(
         pose = sample_addition(poses, active, rng, distance)
         near = others[np.linalg.norm(others - pose[:2], axis=-1) <= SENSING_RANGE * distance]
         reachable = not walled_off(pose[:2], near, world.arena).all()
-        if reachable and not World(pose[None, None], world.profile, world.arena, [0]).hit_arena[0]:
+        if reachable and not World(pose[None, None], world.newcomer, world.arena, [0]).hit_arena[0]:
             return pose
     raise TriformError(
         f"no place for a new robot in the arena {world.arena.name!r}: walls or pillars blocked {_DRAWS} random ones"

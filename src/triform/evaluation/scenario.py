@@ -8,12 +8,20 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from triform.control import ControllerSpec, IntensityThreshold, SafetyFilter, control_steps, make_controller
+from triform.control import (
+    ControllerSpec,
+    IntensityThreshold,
+    MixedController,
+    SafetyFilter,
+    control_steps,
+    make_controller,
+)
 from triform.evaluation.events import Event, EventRun, run_event
+from triform.evaluation.filters import team_settings
 from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
 from triform.evaluation.placement import blocked_starts
@@ -21,15 +29,14 @@ from triform.evaluation.rollout import Trajectory, rollout
 from triform.evaluation.runs import chunks
 from triform.kernels import kernels_were_compiled
 from triform.limits import require_at_most
-from triform.robots.filter import safety_settings
 from triform.simulation import (
     Arena,
-    Drive,
+    Composition,
     Profile,
     SimulatedTeam,
     World,
     get_arena,
-    get_profile,
+    read_kinds,
     sample_starts,
     world_seeds,
 )
@@ -59,7 +66,8 @@ class Scenario:
     """Everything about a run but its start and its controller.
 
     Attributes:
-        profile: Robot profile: a name or a TOML file.
+        profile: Robot profile: a name or a TOML file. Of a mixed team, each with its number of robots, such as
+            turtlebot4:3 hardware:2.
         arena: Arena: a name or a TOML file.
         distance: Prescribed neighbour distance d* [m]. A robot sees as far as 2 d*, and starts grow with d*.
         duration: Length of every run [s].
@@ -72,6 +80,9 @@ class Scenario:
             of a differential one (differential).
         overrides: What replaces values of the profile.
     """
+
+    #: Options that are one text of several words.
+    WORDS: ClassVar[tuple[str, ...]] = ("profile",)
 
     profile: str = "ideal"
     arena: str = "open"
@@ -111,28 +122,50 @@ class Scenario:
             "and before the end",
         )
         # Looked up once: files may change later, and are not there on the other machines of a cluster.
-        robot = self.overrides.applied_to(get_profile(self.profile), self.distance)
-        if self.simulator == "gazebo":
-            robot.require_holonomic("Gazebo")
-        check_base(self.base, robot)
+        team = Composition.parse(self.profile).changed(partial(self.overrides.applied_to, distance=self.distance))
         require(
-            self.simulator != "gazebo" or robot.lidar.min_intensity is None,
-            f"min_intensity is {robot.lidar.min_intensity}, but Gazebo's LiDARs say nothing of materials; it goes with "
-            "simulator builtin or mujoco",
+            not team.is_mixed or self.simulator == "builtin",
+            f"simulator is {self.simulator!r}; robots of several profiles drive in the built-in world alone",
         )
-        object.__setattr__(self, "_robot", robot)
+        if self.simulator == "gazebo":
+            team.profile.require_holonomic("Gazebo")
+            require(
+                team.profile.lidar.min_intensity is None,
+                f"min_intensity is {team.profile.lidar.min_intensity}, but Gazebo's LiDARs say nothing of materials; "
+                "it goes with simulator builtin or mujoco",
+            )
+        if not team.is_mixed:
+            check_base(self.base, team.profile)
+        object.__setattr__(self, "_team", team)
         object.__setattr__(self, "_arena", get_arena(self.arena))
 
     @property
-    def robot(self) -> Profile:
-        """The robots as they run: their profile with the overrides, seeing 2 d* far."""
-        robot: Profile = self.__dict__["_robot"]
-        return robot
+    def team(self) -> Composition:
+        """The kinds of robots as they run: their profiles with the overrides, seeing 2 d* far."""
+        team: Composition = self.__dict__["_team"]
+        return team
 
     @property
-    def drive_limits(self) -> Drive:
-        """What the robots' base can do; robots with a mass cannot accelerate at will."""
-        return self.robot.drive if self.simulator == "builtin" else braked(self.robot.drive)
+    def robot(self) -> Profile:
+        """The robots as they run, of one kind.
+
+        Raises:
+            ConfigurationError: They are of several.
+        """
+        return self.team.profile
+
+    @property
+    def of_first_kind(self) -> Scenario:
+        """The scenario with robots of the first profile alone, and any number of them."""
+        return replace(self, profile=read_kinds(self.profile)[0][0])
+
+    @property
+    def driven(self) -> tuple[Profile, ...]:
+        """The kinds of robots with what their bases can do; robots with a mass cannot accelerate at will."""
+        profiles = self.team.profiles
+        if self.simulator == "builtin":
+            return profiles
+        return tuple(replace(profile, drive=braked(profile.drive)) for profile in profiles)
 
     @property
     def surroundings(self) -> Arena:
@@ -143,7 +176,7 @@ class Scenario:
     @property
     def steps(self) -> int:
         """Control periods in one run."""
-        return control_steps(self.duration, self.robot.control_period)
+        return control_steps(self.duration, self.team.control_period)
 
     def make_controller(self, controller: Controller[Any] | str | ControllerSpec = "policy") -> Controller[Any]:
         """Make a controller for these robots, behind the safety filter unless ``guard`` is off.
@@ -156,16 +189,30 @@ class Scenario:
         Raises:
             TriformError: There is no such controller, or its weights cannot be used.
         """
+        team, first = self.team, self._make_own(controller, self.team.profiles[0])
+        if isinstance(first, MixedController):
+            return first
+        everyone = first if team.is_mixed and first.privileged else None
+        own = [first] + [everyone or self._make_own(controller, profile) for profile in team.profiles[1:]]
+        if self.guard:
+            settings = team_settings(self.driven)
+            own = [
+                each if isinstance(each, SafetyFilter) else SafetyFilter(each, rules)
+                for each, rules in zip(own, settings, strict=True)
+            ]
+        return MixedController(own, everyone) if team.is_mixed else own[0]
+
+    def _make_own(self, controller: Controller[Any] | str | ControllerSpec, profile: Profile) -> Controller[Any]:
+        """Make the controller of one kind; of several, each has its own workspace for its own scans."""
+        mixed = self.team.is_mixed
         if isinstance(controller, str | ControllerSpec):
-            controller = make_controller(controller, self.distance, footprint=self.robot.footprint.size)
-        if isinstance(controller, SafetyFilter):
-            return controller
-        threshold = self.robot.lidar.min_intensity
-        if threshold is not None and not isinstance(controller, IntensityThreshold):
-            controller = IntensityThreshold(controller, threshold)
-        if not self.guard:
-            return controller
-        return SafetyFilter(controller, safety_settings(replace(self.robot, drive=self.drive_limits)))
+            made = make_controller(controller, self.distance, footprint=profile.footprint.size)
+        else:
+            made = copy.copy(controller) if mixed else controller
+        threshold = profile.lidar.min_intensity
+        # One that sees all poses of a mixed team sees no scans.
+        sees_scans = not (mixed and made.privileged) and not isinstance(made, SafetyFilter | IntensityThreshold)
+        return IntensityThreshold(made, threshold) if sees_scans and threshold is not None else made
 
     def sample_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
         """Return random starts, shape (runs, robots, 3) [m, m, rad]: functions of (robots, seed, index) and event."""
@@ -200,6 +247,7 @@ class Scenario:
             ConfigurationError: The arena has no place for a start.
             TriformError: The simulator is missing or fails, or the controller does.
         """
+        self.team.team_size(poses.shape[1], poses.shape[1])
         driver = self.make_controller(controller)
         robots, event = poses.shape[1], self.event
         numbers = np.arange(len(poses)) if indices is None else np.asarray(indices)
@@ -226,7 +274,7 @@ class Scenario:
         """
         if self.simulator != "builtin" or kernels_were_compiled():
             return
-        period = self.robot.control_period
+        period = self.team.control_period
         short = replace(self, duration=math.ceil(WINDOW / period - 1e-9) * period, event=None)
         # An arena may have no place for these starts; the run itself then says so.
         with suppress(ConfigurationError):
@@ -238,7 +286,7 @@ class Scenario:
         Raises:
             ConfigurationError: The arena has no place for a start.
         """
-        world = World(poses, self.robot, self.surroundings, seeds)
+        world = World(poses, self.team, self.surroundings, seeds)
         self._refuse_blocked(blocked_starts(world), world.active.shape[1])
         return world
 
@@ -253,7 +301,7 @@ class Scenario:
         if len(arena.walls) + len(arena.pillars) == 0:
             return
         blocked = [
-            blocked_starts(World(poses[batch], self.robot, arena, [0] * (batch.stop - batch.start)))
+            blocked_starts(World(poses[batch], self.team, arena, [0] * (batch.stop - batch.start)))
             for batch in chunks(runs, robots)
         ]
         self._refuse_blocked(np.concatenate(blocked), robots)

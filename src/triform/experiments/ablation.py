@@ -15,7 +15,7 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import measure_in_folder, open_grid, spread_out
-from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, check_teams, for_team
+from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, check_teams, for_team, team_sizes
 from triform.figures.grids import ablation_figure
 from triform.figures.style import save_figure
 from triform.report.listener import SILENT, Listener
@@ -148,6 +148,7 @@ class AblateConfig:
 
     def __post_init__(self) -> None:
         convert_fields(self)
+        object.__setattr__(self, "robots", team_sizes(self.scenario, self.robots, AblateConfig.robots))
         check_teams(self.robots, self.runs, self.seed, least=3)
 
     @property

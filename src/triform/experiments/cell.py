@@ -115,7 +115,8 @@ class Cell:
             ConfigurationError: A time is no whole number of control periods, the arena has no place for a start, or
                 the memory none for a chunk of runs.
         """
-        scenario, period = self.scenario, self.scenario.robot.control_period
+        scenario, period = self.scenario, self.scenario.team.control_period
+        scenario.team.team_size(self.robots, self.robots)
         control_steps(scenario.duration, period)
         if scenario.event is not None and scenario.event.interrupts:
             control_steps(scenario.event.time, period)

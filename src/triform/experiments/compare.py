@@ -12,7 +12,7 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import Grid, measure_in_folder, open_grid, spread_out
-from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, MOST_RUNS, check_teams, for_team
+from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, MOST_RUNS, check_teams, for_team, team_sizes
 from triform.limits import require_at_most
 from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
@@ -68,6 +68,7 @@ class CompareConfig:
 
     def __post_init__(self) -> None:
         convert_fields(self)
+        object.__setattr__(self, "robots", team_sizes(self.scenario, self.robots, CompareConfig.robots))
         require(len(self.controllers) > 0, "controllers is empty; at least one controller is needed")
         labels = [controller.label for controller in self.compared]
         for label in labels:
@@ -162,7 +163,11 @@ def find_costs(config: CompareConfig, grid: Grid) -> dict[str, Cost]:
     first = {cell.labels["label"]: cell for cell in reversed(grid.cells)}
     known = [controller for controller in config.compared if controller.label in first]
     controllers = {controller.label: grid.controller(first[controller.label]) for controller in known}
-    seconds = step_times(controllers, record_views(grid.cells[0].scenario, config.seed))
+    scenario = grid.cells[0].scenario
+    if scenario.team.is_mixed:
+        scenario = scenario.of_first_kind
+        controllers = {controller.label: scenario.make_controller(controller) for controller in known}
+    seconds = step_times(controllers, record_views(scenario, config.seed))
     return {
         controller.label: Cost(what_it_sees(controller.name), network_size(controller), seconds[controller.label])
         for controller in known

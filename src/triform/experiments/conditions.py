@@ -18,7 +18,7 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import Grid, measure_in_folder, open_grid, read_labels
-from triform.experiments.settings import check_teams, for_team
+from triform.experiments.settings import check_teams, for_team, team_sizes
 from triform.figures.grids import FailedRun, conditions_figure, failures_figure
 from triform.figures.runs import Scene
 from triform.figures.style import save_figure
@@ -116,6 +116,7 @@ class ConditionsConfig:
 
     def __post_init__(self) -> None:
         convert_fields(self)
+        object.__setattr__(self, "robots", team_sizes(self.scenario, self.robots, ConditionsConfig.robots))
         require(len(self.which) > 0, "which is empty; at least one condition is needed")
         for condition in self.which:
             require(condition in CONDITIONS, f"there is no condition {condition!r}; there are {', '.join(CONDITIONS)}")
@@ -184,7 +185,8 @@ def failed_runs(grid: Grid, most: int) -> list[FailedRun]:
     for _, cell, run in sorted(failing.values(), key=lambda entry: entry[0])[:most]:
         trajectory, _ = cell.run(run, 1, grid.controller(cell))
         scenario = cell.scenario
-        scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
+        outlines = scenario.team.outlines(trajectory.poses.shape[2])
+        scene = Scene(outlines, scenario.surroundings, scenario.distance)
         drawn.append(FailedRun(trajectory, scene, f"{cell.name}, run {run}"))
     return drawn
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from triform.control import POLICY, ControllerSpec
 from triform.evaluation.metrics import summarise
 from triform.evaluation.scenario import Scenario
-from triform.experiments.settings import check_teams, describe, flat, run_memory
+from triform.experiments.settings import check_teams, describe, flat, run_memory, team_sizes
 from triform.figures.animation import animate
 from triform.figures.runs import Scene, run_figure
 from triform.figures.style import save_figure
@@ -46,6 +46,8 @@ class DemoConfig:
 
     def __post_init__(self) -> None:
         convert_fields(self)
+        (robots,) = team_sizes(self.scenario, (self.robots,), (DemoConfig.robots,))
+        object.__setattr__(self, "robots", robots)
         check_teams((self.robots,), 1, self.seed)
         require(self.index >= 0, f"index is {self.index}; it must not be negative")
         require_at_most("index", self.index, LARGEST_INDEX)
@@ -85,7 +87,8 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
         if config.robots < 3:
             listener.say("a team of one or two robots has no triangle, so it can be a success but never strict")
 
-        scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
+        outlines = scenario.team.outlines(trajectory.poses.shape[2])
+        scene = Scene(outlines, scenario.surroundings, scenario.distance)
         with listener.progress("drawing", 1):
             figure = run_figure(trajectory, scene, f"{config.robots} robots, controller {label}")
             settings = flat(config, without=("output", "threads")) | describe(scenario, controller)

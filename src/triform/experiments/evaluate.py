@@ -14,7 +14,7 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell, Starts
 from triform.experiments.grid import Grid, measure_grid
-from triform.experiments.settings import check_teams, describe, flat
+from triform.experiments.settings import check_teams, describe, flat, team_sizes
 from triform.report.listener import SILENT, Listener
 from triform.report.results import Evaluation, ResultFiles, show_results
 from triform.simulation import load_starts
@@ -52,6 +52,7 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         convert_fields(self)
+        object.__setattr__(self, "robots", team_sizes(self.scenario, self.robots, EvaluateConfig.robots))
         check_teams(self.robots, self.runs, self.seed)
 
     @property

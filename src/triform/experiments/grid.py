@@ -146,7 +146,7 @@ class Grid:
         """Compile the kernels that the cells need, each kind of controller with a small and a large team."""
         kinds = {(_kind(cell), cell.robots > SMALL_TEAM): cell for cell in self.waiting}
         for cell in kinds.values():
-            robots = min(cell.robots, SMALL_TEAM + 1)
+            robots = cell.scenario.team.team_size(None, min(cell.robots, SMALL_TEAM + 1))
             poses = sample_starts(robots, 1, cell.seed, distance=cell.scenario.distance)
             cell.scenario.warm_up(poses, self.controller(cell))
 
@@ -302,7 +302,7 @@ def _kind(cell: Cell) -> Any:
     """What a controller is made for: its name or itself, distance, robots, limits of the base, filter."""
     scenario, given = cell.scenario, cell.controller
     who = given if isinstance(given, ControllerSpec) else id(given)
-    return who, scenario.distance, scenario.robot, scenario.drive_limits, scenario.guard
+    return who, scenario.distance, scenario.team, scenario.driven, scenario.guard
 
 
 def _read_tables(

@@ -14,6 +14,7 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.limits import LARGEST_SEED, require_at_most
 from triform.report.listener import Listener
+from triform.simulation import Composition
 from triform.threads import limit_threads, usable_threads
 from triform.types import Controller, require
 from triform.version import __version__
@@ -48,6 +49,27 @@ def check_teams(robots: Sequence[int], runs: int, seed: int, least: int = 1) -> 
     require_at_most("seed", seed, LARGEST_SEED)
 
 
+def team_sizes(scenario: Scenario, robots: tuple[int, ...], omitted: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the team sizes of an experiment: those asked for, or that of the profiles if they say it.
+
+    Args:
+        scenario: The runs.
+        robots: What is asked for.
+        omitted: What counts as not asked for: the default.
+
+    Raises:
+        ConfigurationError: Something else is asked for than the profiles say.
+    """
+    size = scenario.team.robots
+    if size is None:
+        return robots
+    require(
+        robots in (omitted, (size,)),
+        f"robots is {' '.join(map(str, robots))}, and the profiles have {size} robots; omit it or make them equal",
+    )
+    return (size,)
+
+
 def run_memory(scenario: Scenario, robots: int, runs: int = 1) -> float:
     """Return about how much memory runs need that are simulated at once [bytes].
 
@@ -55,9 +77,8 @@ def run_memory(scenario: Scenario, robots: int, runs: int = 1) -> float:
     the controllers, and of the robots' own state; found from the peaks of runs of 1 to 1,000 robots and 50 to 40,000
     steps.
     """
-    robot = scenario.robot
-    late = robot.latency / robot.lidar.period
-    return scenario.steps * (1000 + 200.0 * robots * runs) + robots * runs * (1e5 + 8 * late * robot.lidar.scan.rays)
+    late = max(each.latency / each.lidar.period * each.lidar.scan.rays for each in scenario.team.profiles)
+    return scenario.steps * (1000 + 200.0 * robots * runs) + robots * runs * (1e5 + 8 * late)
 
 
 def warn_of_time(work: float, threads: int | None, listener: Listener, rate: float = _STEPS_PER_SECOND) -> None:
@@ -109,9 +130,17 @@ def describe(scenario: Scenario, controller: Controller[Any]) -> dict[str, Any]:
     """Return a scenario and its controller as plain JSON values, with what their names stand for."""
     return flat(scenario) | {
         "controller_description": controller.description,
-        "profile_description": asdict(scenario.robot),
+        "profile_description": _describe_team(scenario.team),
         "triform": __version__,
     }
+
+
+def _describe_team(team: Composition) -> dict[str, Any] | list[dict[str, Any]]:
+    """The profile of all robots, or of several that of each kind with its number of robots."""
+    if not team.is_mixed:
+        return asdict(team.profile)
+    kinds = zip(team.counts or (), team.profiles, strict=True)
+    return [{"robots": count, **asdict(profile)} for count, profile in kinds]
 
 
 def digest(settings: dict[str, Any]) -> str:

@@ -130,15 +130,15 @@ class _Drawing:
         robots = present(self.trajectory, record)
         positions = self.trajectory.positions[0, record]
         poses = self.trajectory.poses[0, record, robots]
-        colours = [self.colours[robot] for robot in robots]
+        colours, footprints = [self.colours[robot] for robot in robots], self.scene.footprints(robots)
         sensed = self.sensed[record]
         self.trails.set_segments([self._trail(record, robot) for robot in robots])
         self.trails.set_color(colours)
         self.edges.set_segments(edge_lines(positions, sensed))
         self.far_edges.set_segments(edge_lines(positions, self.graphs[record] & ~sensed))
-        self.bodies.set_verts(footprint_outlines(poses, self.scene.footprint))
+        self.bodies.set_verts(footprint_outlines(poses, footprints))
         self.bodies.set_facecolor(colours)
-        self.fronts.set_segments(heading_marks(poses, self.scene.footprint))
+        self.fronts.set_segments(heading_marks(poses, footprints))
         error = self.error[record]
         shown = f"formation error {100 * error:.1f} %" if np.isfinite(error) else ""
         self.title.set_text(f"{self.trajectory.time[record]:4.1f} s    {len(robots)} robots    {shown}")

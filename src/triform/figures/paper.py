@@ -102,4 +102,4 @@ def _draw_snapshot(axes: Axes, trajectory: Trajectory, record: int, scene: Scene
     draw_arena(axes, scene.arena)
     for index, colour in enumerate(colours):
         axes.plot(poses[:, index, 0], poses[:, index, 1], color=colour, linewidth=1.2, alpha=0.75, zorder=2)
-    draw_formation(axes, poses[-1], scene, colours)
+    draw_formation(axes, poses[-1], robots, scene, colours)

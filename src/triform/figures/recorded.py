@@ -54,7 +54,7 @@ def figure_7(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
         half_side = max(bounds(trajectory.positions, scene.arena)[1] for trajectory in trajectories)
         for index, (axes, trajectory) in enumerate(zip(panels[0], trajectories, strict=True)):
             draw_trajectories(axes, trajectory, scene, half_side)
-            _draw_first_poses(axes, trajectory, scene.footprint)
+            _draw_first_poses(axes, trajectory, scene)
             axes.set_title(_title(index, trajectory), loc="left")
             axes.set_ylabel("y [m]" if index % _COLUMNS == 0 else "")
     return figure
@@ -98,12 +98,13 @@ def _title(index: int, trajectory: Trajectory) -> str:
     return f"run {index}, {len(present(trajectory, -1))} robots"
 
 
-def _draw_first_poses(axes: Axes, trajectory: Trajectory, footprint: Footprint) -> None:
+def _draw_first_poses(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
     """Draw where the robots that are there at the end were first: their outlines with a line towards the front."""
-    poses = trajectory.poses[0][:, present(trajectory, -1)]
+    robots = present(trajectory, -1)
+    poses, footprints = trajectory.poses[0][:, robots], scene.footprints(robots)
     here = np.argmax(np.isfinite(poses[..., 0]), axis=0)
     first = poses[here, np.arange(poses.shape[1])]
     colours: Any = robot_colours(len(first))
-    outlines = footprint_outlines(first, footprint)
+    outlines = footprint_outlines(first, footprints)
     axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=colours, linewidths=0.9, zorder=3))
-    axes.add_collection(LineCollection(heading_marks(first, footprint), colors=colours, linewidths=0.9, zorder=3))
+    axes.add_collection(LineCollection(heading_marks(first, footprints), colors=colours, linewidths=0.9, zorder=3))

@@ -41,12 +41,12 @@ class Scene:
     """What a drawing of a run needs besides the run.
 
     Attributes:
-        footprint: Outline of the robots.
+        footprint: Outline of all robots, or of each.
         arena: Walls and pillars.
         distance: Prescribed neighbour distance d* [m].
     """
 
-    footprint: Footprint
+    footprint: Footprint | tuple[Footprint, ...]
     arena: Arena
     distance: float = 1.0
 
@@ -55,20 +55,25 @@ class Scene:
         """How far one robot sees another, 2 d* [m]."""
         return SENSING_RANGE * self.distance
 
+    def footprints(self, robots: IntArray) -> list[Footprint]:
+        """Return the outlines of some robots, shape (M,)."""
+        given = self.footprint
+        return [given] * len(robots) if isinstance(given, Footprint) else [given[robot] for robot in robots]
+
 
 def present(trajectory: Trajectory, record: int) -> IntArray:
     """Return which robots of a single run exist at a record."""
     return np.flatnonzero(trajectory.active[0, record])
 
 
-def draw_formation(axes: Axes, poses: FloatArray, scene: Scene, colours: Sequence[Any]) -> None:
-    """Draw robots at ``poses`` (N, 3) with their Gabriel graph; edges out of sensing range are dashed."""
+def draw_formation(axes: Axes, poses: FloatArray, robots: IntArray, scene: Scene, colours: Sequence[Any]) -> None:
+    """Draw ``robots`` (M,) at ``poses`` (M, 3) with their Gabriel graph; edges out of sensing range are dashed."""
     positions = poses[:, :2]
     full = gabriel_graph(positions)
     sensed = gabriel_graph(positions, scene.sensing_range)
     draw_edges(axes, positions, sensed)
     draw_edges(axes, positions, full & ~sensed, colors=GREY, linestyles=(0, (3, 3)))
-    draw_robots(axes, poses, scene.footprint, colours)
+    draw_robots(axes, poses, scene.footprints(robots), colours)
 
 
 def draw_trajectories(axes: Axes, trajectory: Trajectory, scene: Scene, half_side: float | None = None) -> None:
@@ -89,7 +94,7 @@ def draw_trajectories(axes: Axes, trajectory: Trajectory, scene: Scene, half_sid
         axes.plot(path[:, 0], path[:, 1], color=colour, linewidth=1.4, alpha=0.75, zorder=2)
         here = np.flatnonzero(np.isfinite(path[:, 0]))[0]
         axes.plot(*path[here, :2], "o", mfc="white", mec=colour, mew=1.1, ms=4.5, zorder=3)
-    draw_formation(axes, poses[-1], scene, colours)
+    draw_formation(axes, poses[-1], robots, scene, colours)
     frame(axes, poses[..., :2], scene.arena, half_side)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
@@ -256,7 +261,7 @@ def _draw_snapshot(axes: Axes, change: TeamChange, changed: int, record: int, sc
     went = active[changed - 1] & ~active[changed]
     colours = [ORANGE if came[robot] else VERMILLION if went[robot] else BLUE for robot in robots]
     draw_arena(axes, scene.arena)
-    draw_formation(axes, poses[record, robots], scene, colours)
+    draw_formation(axes, poses[record, robots], robots, scene, colours)
     if record >= changed:
         gone = poses[changed - 1, went, :2]
         axes.plot(gone[:, 0], gone[:, 1], "x", color=VERMILLION, ms=6, mew=1.4, zorder=4)

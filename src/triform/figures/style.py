@@ -81,19 +81,26 @@ def robot_colours(robots: int) -> list[Any]:
     return [mpl.colormaps["viridis"](share) for share in np.linspace(0.0, 0.88, max(1, robots))]
 
 
-def footprint_outlines(poses: FloatArray, footprint: Footprint) -> list[FloatArray]:
+def _corners(footprint: Footprint) -> FloatArray:
+    """Corners of an outline in the robot's frame [m], (K, 2); those of a circle are points of it."""
+    if not footprint.is_circle:
+        return footprint.corners
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    return footprint.half_length * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def footprint_outlines(poses: FloatArray, footprints: Sequence[Footprint]) -> list[FloatArray]:
     """Return the outline of every robot at ``poses`` (N, 3) in the world frame [m], each (K, 2)."""
-    corners = footprint.corners
-    if footprint.is_circle:
-        angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-        corners = footprint.half_length * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return [pose[:2] + body_to_world(corners, pose[2]) for pose in poses]
+    return [pose[:2] + body_to_world(_corners(own), pose[2]) for pose, own in zip(poses, footprints, strict=True)]
 
 
-def heading_marks(poses: FloatArray, footprint: Footprint) -> list[FloatArray]:
+def heading_marks(poses: FloatArray, footprints: Sequence[Footprint]) -> list[FloatArray]:
     """Return a line from the centre to the front of every robot at ``poses`` (N, 3), each (2, 2)."""
-    front = np.array([footprint.half_length, 0.0])
-    return [np.stack([pose[:2], pose[:2] + body_to_world(front, pose[2])]) for pose in poses]
+    fronts = (np.array([footprint.half_length, 0.0]) for footprint in footprints)
+    return [
+        np.stack([pose[:2], pose[:2] + body_to_world(front, pose[2])])
+        for pose, front in zip(poses, fronts, strict=True)
+    ]
 
 
 def edge_lines(positions: FloatArray, graph: BoolArray) -> list[FloatArray]:
@@ -102,14 +109,14 @@ def edge_lines(positions: FloatArray, graph: BoolArray) -> list[FloatArray]:
     return [positions[[i, j]] for i, j in zip(first, second, strict=True)]
 
 
-def draw_robots(axes: Axes, poses: FloatArray, footprint: Footprint, colours: Sequence[Any]) -> None:
+def draw_robots(axes: Axes, poses: FloatArray, footprints: Sequence[Footprint], colours: Sequence[Any]) -> None:
     """Draw robots at ``poses`` (N, 3) as footprints with a white line towards the front."""
     axes.add_collection(
         PolyCollection(
-            footprint_outlines(poses, footprint), facecolors=colours, edgecolors="white", linewidths=0.6, zorder=4
+            footprint_outlines(poses, footprints), facecolors=colours, edgecolors="white", linewidths=0.6, zorder=4
         )
     )
-    axes.add_collection(LineCollection(heading_marks(poses, footprint), colors="white", linewidths=1.1, zorder=5))
+    axes.add_collection(LineCollection(heading_marks(poses, footprints), colors="white", linewidths=1.1, zorder=5))
 
 
 def draw_edges(axes: Axes, positions: FloatArray, graph: BoolArray, **style: Any) -> None:

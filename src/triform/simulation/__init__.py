@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from triform.simulation.arena import ARENAS, Arena, get_arena
 from triform.simulation.arena_file import arena_toml
+from triform.simulation.composition import Composition, read_kinds
 from triform.simulation.kinematics import integrate, limit_twists, steer
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
 from triform.simulation.mounting import Mounting, Placement, read_sectors
@@ -34,6 +35,7 @@ __all__ = [
     "PROFILES",
     "ROBOMASTER_EP",
     "Arena",
+    "Composition",
     "Drive",
     "Footprint",
     "LidarConfig",
@@ -59,6 +61,7 @@ __all__ = [
     "make_world",
     "noise_sigma",
     "profile_toml",
+    "read_kinds",
     "read_sectors",
     "sample_addition",
     "sample_starts",

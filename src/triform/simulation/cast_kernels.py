@@ -9,12 +9,13 @@ import numpy as np
 
 from triform.geometry.cells import SEARCH_DEPTH, SMALL_TEAM, find_near, list_cells, make_cells
 from triform.kernels import kernel
+from triform.simulation.body_kernels import body_of
 from triform.simulation.ray_kernels import see_box, see_circle, see_wall, sight_reach
 
 
 @kernel(inline="always")
 def _see_robot(i: int, j: int, poses: Any, axes: Any, body: Any, limit: float, scan: Any, row: Any) -> None:
-    """Cast the scan of robot i at robot j unless it is farther than ``limit`` [m^2]."""
+    """Cast the scan of robot i at robot j with its ``body`` unless it is farther than ``limit`` [m^2]."""
     dx = poses[j, 0] - poses[i, 0]
     dy = poses[j, 1] - poses[i, 1]
     if dx * dx + dy * dy > limit:
@@ -64,7 +65,7 @@ def cast_robot(i: int, poses: Any, active: Any, scene: Any, scan: Any, axes: Any
     row[:] = math.inf
     for j in range(active.shape[0]):
         if j != i and active[j]:
-            _see_robot(i, j, poses, axes, body, limit, scan, row)
+            _see_robot(i, j, poses, axes, body_of(body, j), limit, scan, row)
     if walls.shape[0] + pillars.shape[0] > 0:
         _see_arena(i, poses, axes, walls, pillars, scan, row)
 
@@ -76,7 +77,7 @@ def cast_world(poses: Any, active: Any, scene: Any, scan: Any, axes: Any, out: A
     Args:
         poses: World-frame poses, shape (N, 3) [m, m, rad]; rows of inactive robots are not used.
         active: Which robots exist, shape (N,).
-        scene: ``Scene``: the robots' body, walls and pillars.
+        scene: ``Scene``: the robots' outlines, walls and pillars.
         scan: ``ScanRays``: the LiDAR of every robot.
         axes: Workspace, shape (N, 2).
         out: Ranges, shape (N, R), overwritten [m]; ``+inf`` for inactive robots. Any floating type.
@@ -97,8 +98,8 @@ def cast_cells(world: Any, cells: Any, poses: Any, axes: Any, scene: Any, scan: 
     is near in space is then near in memory, which counts where a team outgrows the caches.
     """
     robots, _, parts, _ = world
-    body, walls, pillars = scene
-    limit = sight_reach(scan, body) ** 2
+    _, walls, pillars = scene
+    limit = sight_reach(scan, scene.body) ** 2
     stack, near = np.empty(SEARCH_DEPTH, dtype=np.int64), np.empty(robots.shape[0], dtype=np.int64)
     for cell in cells:
         number = find_near(world, cell, limit, stack, near)
@@ -107,6 +108,7 @@ def cast_cells(world: Any, cells: Any, poses: Any, axes: Any, scene: Any, scan: 
             row[:] = math.inf
             for k in range(number):
                 if near[k] != own:
+                    body = body_of(scene.body, robots[near[k]])
                     _see_robot(own, near[k], poses, axes, body, limit, scan, row)
             if walls.shape[0] + pillars.shape[0] > 0:
                 _see_arena(own, poses, axes, walls, pillars, scan, row)

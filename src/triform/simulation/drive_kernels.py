@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from triform.kernels import kernel
 
 _TWO_PI = 2 * math.pi
@@ -92,7 +94,9 @@ def approach(gap: float, limit: float, lag: float, duration: float) -> tuple[flo
 
 
 @kernel
-def drive_team(poses: Any, velocities: Any, targets: Any, active: Any, limits: Any, duration: float) -> None:
+def drive_team(
+    poses: Any, velocities: Any, targets: Any, active: Any, kinds: Any, limits: Any, duration: float
+) -> None:
     """Advance the ``poses`` and body ``velocities`` of one team in place.
 
     Args:
@@ -100,23 +104,27 @@ def drive_team(poses: Any, velocities: Any, targets: Any, active: Any, limits: A
         velocities: Actual body twists, shape (N, 3) [m/s, m/s, rad/s].
         targets: Limited body twists that the bases are steering to, shape (N, 3) [m/s, m/s, rad/s].
         active: Robots that exist, shape (N,); the others are left alone.
-        limits: Largest acceleration [m/s^2], largest turn acceleration [rad/s^2], lag [s].
+        kinds: Kind k has the robots from ``kinds[k]`` up to ``kinds[k + 1]``, shape (K + 1,).
+        limits: Of each kind, the largest acceleration [m/s^2], largest turn acceleration [rad/s^2], lag [s], shape
+            (K, 3).
         duration: Time to advance [s].
     """
-    limit, turn_limit, lag = limits[0], limits[1], limits[2]
-    for i in range(active.shape[0]):
-        if not active[i]:
-            continue
-        gap_x = velocities[i, 0] - targets[i, 0]
-        gap_y = velocities[i, 1] - targets[i, 1]
-        gap_turn = velocities[i, 2] - targets[i, 2]
-        left, mean = approach(math.sqrt(gap_x * gap_x + gap_y * gap_y), limit, lag, duration)
-        left_turn, mean_turn = approach(abs(gap_turn), turn_limit, lag, duration)
-        u_x, u_y = targets[i, 0] + mean * gap_x, targets[i, 1] + mean * gap_y
-        omega = targets[i, 2] + mean_turn * gap_turn
-        poses[i, 0], poses[i, 1], poses[i, 2] = advance_pose(
-            poses[i, 0], poses[i, 1], poses[i, 2], u_x, u_y, omega, duration
-        )
-        velocities[i, 0] = targets[i, 0] + left * gap_x
-        velocities[i, 1] = targets[i, 1] + left * gap_y
-        velocities[i, 2] = targets[i, 2] + left_turn * gap_turn
+    for kind in range(limits.shape[0]):
+        limit, turn_limit, lag = limits[kind, 0], limits[kind, 1], limits[kind, 2]
+        # Unsigned, because signed indices are checked for being counted from the end.
+        for i in range(np.uint64(kinds[kind]), np.uint64(kinds[kind + 1])):
+            if not active[i]:
+                continue
+            gap_x = velocities[i, 0] - targets[i, 0]
+            gap_y = velocities[i, 1] - targets[i, 1]
+            gap_turn = velocities[i, 2] - targets[i, 2]
+            left, mean = approach(math.sqrt(gap_x * gap_x + gap_y * gap_y), limit, lag, duration)
+            left_turn, mean_turn = approach(abs(gap_turn), turn_limit, lag, duration)
+            u_x, u_y = targets[i, 0] + mean * gap_x, targets[i, 1] + mean * gap_y
+            omega = targets[i, 2] + mean_turn * gap_turn
+            poses[i, 0], poses[i, 1], poses[i, 2] = advance_pose(
+                poses[i, 0], poses[i, 1], poses[i, 2], u_x, u_y, omega, duration
+            )
+            velocities[i, 0] = targets[i, 0] + left * gap_x
+            velocities[i, 1] = targets[i, 1] + left * gap_y
+            velocities[i, 2] = targets[i, 2] + left_turn * gap_turn

@@ -111,14 +111,15 @@ def steer(
     drive_team(
         *teams,
         np.ones(len(teams[0]), dtype=np.bool_),
-        drive_limits(drive),
+        np.array([0, len(teams[0])]),
+        drive_limits(drive)[None],
         float(converted("duration", duration, float)),
     )
     return moved, reached
 
 
 def drive_limits(drive: Drive) -> FloatArray:
-    """Return the limits in the order that ``drive_team`` takes: acceleration, turn acceleration, lag."""
+    """Return the limits of one kind in the order that ``drive_team`` takes: acceleration, turn acceleration, lag."""
     return np.array([drive.max_acceleration, drive.max_turn_acceleration, drive.lag], dtype=np.float64)
 
 

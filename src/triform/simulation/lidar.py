@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
 from triform.simulation.arena import Arena
+from triform.simulation.body_kernels import Bodies
 from triform.simulation.cast_kernels import cast_cells, cast_world, cast_worlds, sort_poses
 from triform.simulation.moving_ray_kernels import HIT_NOTHING, cast_moving_worlds
 from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
 from triform.simulation.ray_kernels import ScanRays, Scene
 from triform.threads import in_parts, usable_threads
-from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, as_array
+from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, as_array, require
 
 __all__ = ["angle_offsets", "apply_noise", "cast_rolling", "cast_scans", "cast_world", "noise_sigma", "scan_rays"]
 
@@ -49,12 +51,13 @@ def scan_rays(config: ScanConfig, x: float = 0.0, y: float = 0.0) -> ScanRays:
 def cast_scans(
     poses: FloatArray,
     active: BoolArray,
-    footprint: Footprint,
+    footprint: Footprint | Sequence[Footprint],
     arena: Arena,
     config: ScanConfig,
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
     eye: tuple[float, float] = (0.0, 0.0),
+    robots: slice = slice(None),
     hits: HitArray | None = None,
 ) -> RangeArray:
     """Return what every robot's LiDAR would measure at one instant, without range noise.
@@ -62,36 +65,49 @@ def cast_scans(
     Args:
         poses: World-frame poses, shape (B, N, 3) [m, m, rad].
         active: Which robots exist, shape (B, N); the others are not seen and see nothing.
-        footprint: Outline of every robot; nobody sees its own.
+        footprint: Outline of all robots, or of each; nobody sees its own.
         arena: Walls and pillars.
         config: Rays and limits of range.
-        offsets: Errors of the rays' angles, shape (B, N, R) [rad].
+        offsets: Errors of the rays' angles, shape (B, M, R) [rad].
         dtype: Floating type of the ranges.
         eye: Where the LiDAR is on each robot, forward and left of its centre [m].
-        hits: Gets what every ray hits, int32, shape (B, N, R), see ``cast_moving``; rays are then cast one by one.
+        robots: Which M robots measure; by default all.
+        hits: Gets what every ray hits, int32, shape (B, M, R), see ``cast_moving``; rays are then cast one by one.
 
     Returns:
-        Ranges, shape (B, N, R) [m]: ``+inf`` beyond ``range_max``, ``-inf`` below ``range_min`` and throughout for
+        Ranges, shape (B, M, R) [m]: ``+inf`` beyond ``range_max``, ``-inf`` below ``range_min`` and throughout for
         a robot whose LiDAR lies inside an obstacle.
 
     Raises:
         ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
     """
     if offsets is not None or hits is not None:
-        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye, hits)
+        return cast_rolling(poses, poses, active, footprint, arena, config, offsets, dtype, eye, robots, hits)
     places, mask = _checked_batch(poses, active)
-    worlds, robots = mask.shape
-    ranges = np.empty((worlds, robots, config.rays), dtype)
-    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
-    if robots <= SMALL_TEAM or worlds >= usable_threads():
+    worlds, total = mask.shape
+    ranges = np.empty((worlds, total, config.rays), dtype)
+    scene, rays = make_scene(footprint, arena, total), scan_rays(config, *eye)
+    if total <= SMALL_TEAM or worlds >= usable_threads():
         in_parts(
             lambda first, last: cast_worlds(places, mask, scene, rays, ranges, first, last),
             worlds, ranges.size, RAYS_PER_THREAD,
         )  # fmt: skip
-        return ranges
+        return ranges[:, robots]
     for b in range(worlds):
         _cast_large(places[b], mask[b], scene, rays, ranges[b])
-    return ranges
+    return ranges[:, robots]
+
+
+def make_scene(footprint: Footprint | Sequence[Footprint], arena: Arena, robots: int) -> Scene:
+    """Return the outline of all robots, or of each, with walls and pillars as kernels take them.
+
+    Raises:
+        ConfigurationError: The number of outlines is not that of robots.
+    """
+    if isinstance(footprint, Footprint):
+        return Scene(footprint.body, arena.walls, arena.pillars)
+    require(len(footprint) == robots, f"{len(footprint)} footprints given for {robots} robots; one for each is needed")
+    return Scene(Bodies.of([each.body for each in footprint]), arena.walls, arena.pillars)
 
 
 def _cast_large(poses: FloatArray, active: BoolArray, scene: Scene, rays: ScanRays, ranges: RangeArray) -> None:
@@ -110,12 +126,13 @@ def cast_rolling(
     start: FloatArray,
     end: FloatArray,
     active: BoolArray,
-    footprint: Footprint,
+    footprint: Footprint | Sequence[Footprint],
     arena: Arena,
     config: ScanConfig,
     offsets: FloatArray | None = None,
     dtype: DTypeLike = np.float64,
     eye: tuple[float, float] = (0.0, 0.0),
+    robots: slice = slice(None),
     hits: HitArray | None = None,
 ) -> RangeArray:
     """Return a turn in which ray k is measured at the share k / R of the way from ``start`` to ``end``.
@@ -126,16 +143,17 @@ def cast_rolling(
         start: Poses when ray 0 is measured, shape (B, N, 3) [m, m, rad].
         end: Poses one turn later, shape (B, N, 3) [m, m, rad].
         active: Which robots exist, shape (B, N).
-        footprint: Outline of every robot.
+        footprint: Outline of all robots, or of each.
         arena: Walls and pillars.
         config: Rays and limits of range.
-        offsets: Errors of the rays' angles, shape (B, N, R) [rad].
+        offsets: Errors of the rays' angles, shape (B, M, R) [rad].
         dtype: Floating type of the ranges.
         eye: Where the LiDAR is on each robot, forward and left of its centre [m].
-        hits: Gets what every ray hits, int32, shape (B, N, R), see ``cast_moving``.
+        robots: Which M robots measure; by default all.
+        hits: Gets what every ray hits, int32, shape (B, M, R), see ``cast_moving``.
 
     Returns:
-        Ranges, shape (B, N, R) [m], as ``cast_scans``.
+        Ranges, shape (B, M, R) [m], as ``cast_scans``.
 
     Raises:
         ConfigurationError: If the shapes do not fit, or the pose of an active robot is not finite.
@@ -143,19 +161,19 @@ def cast_rolling(
     placed, mask = _checked_batch(start, active)
     end = placed if end is start else _checked_batch(end, active)[0]
     start = placed
-    shape = (*start.shape[:2], config.rays)
+    observers = range(start.shape[1])[robots]
+    shape = (len(start), len(observers), config.rays)
     errors = np.empty((*shape[:2], 0)) if offsets is None else as_array("angle offsets", offsets)
     if offsets is not None and errors.shape != shape:
         raise ConfigurationError(f"angle offsets of shape {errors.shape} given; {shape} is needed")
     ranges = np.full(shape, np.inf, dtype)
     share_step = 0.0 if start is end else 1.0 / config.rays
-    scene, rays = Scene(footprint.body, arena.walls, arena.pillars), scan_rays(config, *eye)
+    scene = make_scene(footprint, arena, start.shape[1])
     found = np.empty((*shape[:2], 0), np.int32) if hits is None else hits
     found[...] = HIT_NOTHING
+    turn = (scan_rays(config, *eye), errors, share_step, observers.start, ranges, found)
     in_parts(
-        lambda first, last: cast_moving_worlds(
-            start, end, mask, scene, rays, errors, share_step, ranges, found, first, last
-        ),
+        lambda first, last: cast_moving_worlds(start, end, mask, scene, *turn, first, last),
         len(ranges), ranges.size, MOVING_RAYS_PER_THREAD,
     )  # fmt: skip
     return ranges

@@ -13,7 +13,8 @@ import numpy as np
 
 from triform.geometry.cells import pairs_within
 from triform.kernels import kernel
-from triform.simulation.ray_kernels import body_reach, sight_reach
+from triform.simulation.body_kernels import body_of, body_reach
+from triform.simulation.ray_kernels import sight_reach
 
 #: What a ray has hit that hits nothing.
 HIT_NOTHING = -1
@@ -25,12 +26,14 @@ class DueRays(NamedTuple):
     """Rays that are cast one after the other while robots move.
 
     Attributes:
+        robot: The first robot that casts; the others follow it.
         first: First ray to cast.
         last: One past the last ray to cast.
         first_share: Share of the way at which the first ray is cast.
         share_step: Share of the way between two rays; 0 casts all at one moment.
     """
 
+    robot: int
     first: int
     last: int
     first_share: float
@@ -117,13 +120,14 @@ def _nearest_along(
 ) -> float:
     """Distance from (x, y) to the nearest obstacle in direction (dx, dy) [m]."""
     nearest = math.inf
-    (half_length, half_width, is_circle), walls, pillars = scene
+    body, walls, pillars = scene
     for k in range(first, last):
         j = near[k]
         ox = places[j, 0] - x
         oy = places[j, 1] - y
         if abs(dx * oy - dy * ox) > around or dx * ox + dy * oy < -around:
             continue
+        half_length, half_width, is_circle = body_of(body, j)
         if is_circle:
             found = _distance_to_circle(ox, oy, half_length, dx, dy)
         else:
@@ -170,17 +174,17 @@ def cast_moving(
         near: Whom each robot may see, as ``list_near`` returns it.
         scene: ``Scene``.
         scan: ``ScanRays``.
-        offsets: Error of every ray's angle, shape (N, R) [rad], or (N, 0) for none.
+        offsets: Error of every ray's angle, shape (M, R) [rad], or (M, 0) for none.
         due: ``DueRays``.
-        out: Ranges, shape (N, R); only the rays cast and only active robots are written [m].
-        hits: What these rays hit, shape (N, R), or (N, 0) if nobody asks: the index of a wall, the number of walls plus
+        out: Ranges of the M robots that cast, shape (M, R); only the rays cast and only active robots are written [m].
+        hits: What these rays hit, shape (M, R), or (M, 0) if nobody asks: the index of a wall, the number of walls plus
             that of a pillar, the number of both for any robot, and ``HIT_NOTHING``.
     """
     robots = start.shape[0]
     increment = 2 * math.pi / out.shape[1]
     places = np.empty((robots, 5))
     angle_min, range_min, range_max = scan.angle_min, scan.range_min, scan.range_max
-    first_ray, last_ray, first_share, share_step = due
+    first_robot, first_ray, last_ray, first_share, share_step = due
     ends, others = near
     around = body_reach(scene.body)
     for k in range(first_ray, last_ray):
@@ -196,39 +200,45 @@ def cast_moving(
                     places[i, 2] = heading
                     places[i, 3] = math.cos(heading)
                     places[i, 4] = math.sin(heading)
-        for i in range(robots):
-            if not active[i]:
+        for m in range(out.shape[0]):
+            # Unsigned, because signed indices are checked for being counted from the end.
+            own = np.uint64(first_robot + m)
+            if not active[own]:
                 continue
-            angle = places[i, 2] + angle_min + k * increment
+            angle = places[own, 2] + angle_min + k * increment
             if offsets.shape[1] > 0:
-                angle += offsets[i, k]
-            x, y = places[i, 0], places[i, 1]
+                angle += offsets[m, k]
+            x, y = places[own, 0], places[own, 1]
             if scan.x != 0.0 or scan.y != 0.0:
-                x += places[i, 3] * scan.x - places[i, 4] * scan.y
-                y += places[i, 4] * scan.x + places[i, 3] * scan.y
+                x += places[own, 3] * scan.x - places[own, 4] * scan.y
+                y += places[own, 4] * scan.x + places[own, 3] * scan.y
             dx, dy = math.cos(angle), math.sin(angle)
-            found = _nearest_along(x, y, dx, dy, places, ends[i], ends[i + 1], others, around, scene)
+            found = _nearest_along(x, y, dx, dy, places, ends[own], ends[own + np.uint64(1)], others, around, scene)
             # As ``keep_nearest`` into an empty ray; rows of ``out`` are not taken, which costs in an inner loop.
-            out[i, k] = math.inf if found > range_max else -math.inf if found < range_min else found
+            out[m, k] = math.inf if found > range_max else -math.inf if found < range_min else found
             if hits.shape[1] > 0:
-                hits[i, k] = HIT_NOTHING
+                hits[m, k] = HIT_NOTHING
                 if found <= range_max:
-                    hits[i, k] = _which_along(x, y, dx, dy, found, scene.walls, scene.pillars)
+                    hits[m, k] = _which_along(x, y, dx, dy, found, scene.walls, scene.pillars)
 
 
 @kernel
 def cast_moving_worlds(
-    start: Any, end: Any, active: Any, scene: Any, scan: Any, offsets: Any, share_step: float, out: Any, hits: Any,
+    start: Any, end: Any, active: Any, scene: Any, scan: Any, offsets: Any, share_step: float, robot: int, out: Any,
+    hits: Any,
     first: int, last: int,
 ) -> None:  # fmt: skip
-    """``cast_moving`` of whole turns for the worlds ``first <= b < last``; ``out`` must come filled with ``+inf``."""
+    """``cast_moving`` of whole turns for the worlds ``first <= b < last``; ``out`` must come filled with ``+inf``.
+
+    The robots from ``robot`` on cast.
+    """
     for b in range(first, last):
         travel = 0.0
         for i in range(active.shape[1]):
             if active[b, i]:
                 travel = max(travel, math.hypot(end[b, i, 0] - start[b, i, 0], end[b, i, 1] - start[b, i, 1]))
         near = list_near(start[b], active[b], seen_within(scene.body, scan, travel))
-        due = DueRays(0, out.shape[2], 0.0, share_step)
+        due = DueRays(robot, 0, out.shape[2], 0.0, share_step)
         cast_moving(start[b], end[b], active[b], near, scene, scan, offsets[b], due, out[b], hits[b])
 
 

@@ -93,7 +93,9 @@ def exploration_noise(keys: NDArray[np.uint64], robots: int, time: float, period
     return out
 
 
-def noise_in_body(keys: NDArray[np.uint64], drive: Drive, time: float, headings: FloatArray) -> FloatArray:
+def noise_in_body(
+    keys: NDArray[np.uint64], drive: Drive, time: float, headings: FloatArray, first: int = 0
+) -> FloatArray:
     """Exploration noise as a view offers it: in the robots' own frames, of the size that their base is fit for.
 
     A differential robot turns to where its noise points, so there the noise keeps its direction while it lasts.
@@ -103,11 +105,13 @@ def noise_in_body(keys: NDArray[np.uint64], drive: Drive, time: float, headings:
         drive: Base of the robots.
         time: Time since the start [s].
         headings: By odometry, from any beginning [rad], shape (B, N).
+        first: Index of the first of these robots in its team.
 
     Returns:
         Shape (B, N, 2).
     """
-    noise = noise_scale(drive) * exploration_noise(keys, headings.shape[1], time, noise_period(drive))
+    team = exploration_noise(keys, first + headings.shape[1], time, noise_period(drive))
+    noise = noise_scale(drive) * team[:, first:]
     if not drive.is_differential:
         return noise
     cos, sin = np.cos(headings), np.sin(headings)

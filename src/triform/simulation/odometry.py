@@ -50,7 +50,7 @@ def resting_poses(poses: FloatArray, velocities: FloatArray, drive: Drive) -> Fl
     """
     if drive.is_differential:
         resting, twists = np.array(poses), np.array(velocities)
-        _roll_out_into(resting.reshape(-1, 3), twists.reshape(-1, 3), drive_limits(drive))
+        _roll_out_into(resting.reshape(-1, 3), twists.reshape(-1, 3), drive_limits(drive)[None])
         return resting
     speed = np.linalg.norm(velocities[..., :2], axis=-1, keepdims=True)
     time = braking_time(speed, drive.max_acceleration, drive.lag)
@@ -68,17 +68,17 @@ def _roll_out_into(poses: FloatArray, velocities: FloatArray, limits: FloatArray
     Args:
         poses: Poses in the world frame, shape (N, 3) [m, m, rad]; overwritten.
         velocities: Body twists, shape (N, 3) [m/s, m/s, rad/s]; overwritten.
-        limits: Largest acceleration [m/s^2], largest turn acceleration [rad/s^2], lag [s].
+        limits: Largest acceleration [m/s^2], largest turn acceleration [rad/s^2], lag [s], shape (1, 3).
     """
-    lag = limits[2]
+    lag = limits[0, 2]
     rest = np.zeros((1, 3))
-    exists = np.ones(1, np.bool_)
+    exists, alone = np.ones(1, np.bool_), np.array([0, 1])
     for i in range(poses.shape[0]):
         pose, twist = poses[i : i + 1], velocities[i : i + 1]
-        ramp = max(math.hypot(twist[0, 0], twist[0, 1]) / limits[0], abs(twist[0, 2]) / limits[1]) - lag
+        ramp = max(math.hypot(twist[0, 0], twist[0, 1]) / limits[0, 0], abs(twist[0, 2]) / limits[0, 1]) - lag
         if ramp > 0.0:
             for _ in range(_RAMP_STEPS):
-                drive_team(pose, twist, rest, exists, limits, ramp / _RAMP_STEPS)
+                drive_team(pose, twist, rest, exists, alone, limits, ramp / _RAMP_STEPS)
         poses[i, 0], poses[i, 1], poses[i, 2] = advance_pose(
             pose[0, 0], pose[0, 1], pose[0, 2], lag * twist[0, 0], lag * twist[0, 1], lag * twist[0, 2], 1.0
         )

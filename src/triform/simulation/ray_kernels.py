@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from triform.kernels import kernel
+from triform.simulation.body_kernels import Bodies, body_reach
 from triform.types import Body
 
 #: A visible edge spans less than half a turn; more than this share of the turn is an edge-on edge whose
@@ -34,12 +35,12 @@ class Scene(NamedTuple):
     """What rays meet and robots run into.
 
     Attributes:
-        body: Outline of all robots.
+        body: Outline of all robots, ``Body``, or of each, ``Bodies``.
         walls: Segments x1, y1, x2, y2, shape (W, 4) [m].
         pillars: Circles x, y, radius, shape (K, 3) [m].
     """
 
-    body: Body
+    body: Body | Bodies
     walls: Any
     pillars: Any
 
@@ -64,14 +65,6 @@ class ScanRays(NamedTuple):
     sin: Any
     x: float = 0.0
     y: float = 0.0
-
-
-@kernel
-def body_reach(body: Any) -> float:
-    """Largest distance of a point of a robot from its centre [m]."""
-    if body.is_circle:
-        return float(body.half_length)
-    return math.hypot(body.half_length, body.half_width)
 
 
 @kernel

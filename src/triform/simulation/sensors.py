@@ -37,7 +37,7 @@ _SAME_TIME = 1e-9
 
 
 class SensorSuite:
-    """SensorSuite of B worlds of N robots, whatever moves the robots and casts the rays.
+    """What N robots of one kind sense in B worlds, whatever moves the robots and casts the rays.
 
     A LiDAR turn lasts one period. With a rolling LiDAR ray k is measured at the share k / R of the turn; otherwise all
     rays are measured at the end of the turn. A finished scan can be observed after the profile's latency; until the
@@ -62,20 +62,23 @@ class SensorSuite:
         seeds: Sequence[int | np.random.SeedSequence] | None = None,
         arena: Arena | None = None,
         from_lidar: bool = False,
+        first: int = 0,
     ) -> None:
         """Begin the first turn at time 0.
 
         Args:
-            profile: Kind of all robots.
+            profile: Kind of all these robots.
             poses: Poses in the world frame, shape (B, N, 3) [m, m, rad].
             active: Which robots exist, shape (B, N).
             seeds: One seed for every world; may be left out if the profile has no random errors.
             arena: What is there besides robots; without it, the intensities of what rays hit are not known.
             from_lidar: Whether scans are shown as the LiDARs measure them, and not as seen from the base's centre.
+            first: Index of the first of these robots in its team, on which their errors and their noise depend.
 
         Raises:
             ConfigurationError: If seeds are missing.
         """
+        self._first = first
         lidar = profile.lidar
         self._profile = profile
         # What is measured reaches as far from the LiDAR as a view does from the base.
@@ -103,25 +106,13 @@ class SensorSuite:
         self._begin_turn(poses, active)
 
     def stretches(self, time: float, duration: float) -> Iterator[tuple[float, bool]]:
-        """Cut a while at the ends of LiDAR turns; whoever moves the robots ends a turn before asking for the next cut.
+        """As ``stretches`` of this suite alone."""
+        return ((stop, bool(ending)) for stop, ending in stretches((self,), time, duration))
 
-        Args:
-            time: Present time [s].
-            duration: How long commands are held [s].
-
-        Yields:
-            The end of a stretch [s], and whether it ends the running turn.
-
-        Raises:
-            TriformError: The duration is not positive and finite.
-        """
-        if not 0 < duration < math.inf:
-            raise TriformError(f"commands cannot be held for {duration} s; the time must be positive and finite")
-        end = time + duration
-        while end - time > _SAME_TIME:
-            turn_end = (self._turn + 1) * self._profile.lidar.period
-            time = turn_end if turn_end < end - _SAME_TIME else end
-            yield time, turn_end <= time + _SAME_TIME
+    @property
+    def turn_end(self) -> float:
+        """When the running turn ends [s]."""
+        return (self._turn + 1) * self._profile.lidar.period
 
     def rays_due(self, time: float, steps: int, step: float, turn_ends: bool) -> IntArray:
         """Tell which rays of the running turn a rolling LiDAR measures while time advances in equal steps.
@@ -223,7 +214,7 @@ class SensorSuite:
             active=active.copy(),
             time=time,
             poses=poses.copy(),
-            noise=noise_in_body(self._noise_keys, drive, time, np.where(active, resting[..., 2], 0.0)),
+            noise=noise_in_body(self._noise_keys, drive, time, np.where(active, resting[..., 2], 0.0), self._first),
             odometry=odometry,
         )
 
@@ -288,9 +279,35 @@ class SensorSuite:
         """Generator of one robot, or of its intensities alone with a further 0."""
         if (world, *robot) not in self._rngs:
             seed = self._seeds[world]
-            sequence = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, *robot))
+            own = (self._first + robot[0], *robot[1:])
+            sequence = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, *own))
             self._rngs[world, *robot] = np.random.default_rng(sequence)
         return self._rngs[world, *robot]
+
+
+def stretches(
+    suites: Sequence[SensorSuite], time: float, duration: float
+) -> Iterator[tuple[float, tuple[SensorSuite, ...]]]:
+    """Cut a while at the ends of LiDAR turns; whoever moves the robots ends turns before asking for the next cut.
+
+    Args:
+        suites: What the robots of each kind sense.
+        time: Present time [s].
+        duration: How long commands are held [s].
+
+    Yields:
+        The end of a stretch [s], and the suites whose running turns it ends.
+
+    Raises:
+        TriformError: The duration is not positive and finite.
+    """
+    if not 0 < duration < math.inf:
+        raise TriformError(f"commands cannot be held for {duration} s; the time must be positive and finite")
+    end = time + duration
+    while end - time > _SAME_TIME:
+        turn_end = min(suite.turn_end for suite in suites)
+        time = turn_end if turn_end < end - _SAME_TIME else end
+        yield time, tuple(suite for suite in suites if suite.turn_end <= time + _SAME_TIME)
 
 
 def padded(values: NDArray[Floating], fill: float) -> NDArray[Floating]:

@@ -15,8 +15,8 @@ class SimulatedTeam(Team[PrivilegedView], Protocol):
     """B simulated worlds of robots that come and go, whose true poses and contacts are known; see ``World``."""
 
     @property
-    def profile(self) -> Profile:
-        """Kind of all robots."""
+    def newcomer(self) -> Profile:
+        """Kind of a robot that joins."""
         ...
 
     @property

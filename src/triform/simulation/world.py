@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from triform.mixed import MixedView
 from triform.simulation.arena import Arena, get_arena
+from triform.simulation.composition import Composition
 from triform.simulation.kinematics import drive_limits, integrate, limit_twists
-from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, HitArray, cast_scans, scan_rays
+from triform.simulation.lidar import MOVING_RAYS_PER_THREAD, HitArray, cast_scans, make_scene, scan_rays
 from triform.simulation.profiles import Profile
-from triform.simulation.ray_kernels import Scene
-from triform.simulation.sensors import SensorSuite, padded
-from triform.simulation.shipped import get_profile
+from triform.simulation.sensors import SensorSuite, padded, stretches
 from triform.simulation.spawning import sample_starts, world_seeds
 from triform.simulation.world_kernels import Contacts, LidarTurn, Motion, advance_worlds, record_contacts
 from triform.threads import in_parts
@@ -34,6 +35,25 @@ from triform.types import (
 
 #: Robots whose contacts keep a thread busy for a few milliseconds.
 RECORDS_PER_THREAD = 20_000
+#: Moments closer than this are the same moment [s].
+_SAME_TIME = 1e-9
+
+
+@dataclass
+class _Kind:
+    """The robots of one profile.
+
+    Attributes:
+        profile: What they are.
+        robots: Which they are, along axis N.
+        senses: What they sense.
+        period: Number of the control period in which they got their command.
+    """
+
+    profile: Profile
+    robots: slice
+    senses: SensorSuite
+    period: int = -1
 
 
 class World:
@@ -44,6 +64,9 @@ class World:
     Physical contact is not simulated: robots pass through each other, walls and pillars, and overlaps are
     recorded.
 
+    Robots may be of several kinds. The world then shows a ``MixedView``, and each robot takes commands once per control
+    period of its own.
+
     Every world draws from generators of its own, one for each robot. A world's run is the same to the bit whatever
     the number of threads and whatever other worlds are in the batch.
     """
@@ -51,7 +74,7 @@ class World:
     def __init__(
         self,
         poses: ArrayLike,
-        profile: Profile,
+        profile: Profile | Composition,
         arena: Arena | None = None,
         seeds: Sequence[int | np.random.SeedSequence] | None = None,
         active: ArrayLike | None = None,
@@ -61,7 +84,7 @@ class World:
 
         Args:
             poses: Poses in the world frame, shape (B, N, 3) [m, m, rad].
-            profile: Kind of all robots.
+            profile: Kind of all robots, or of each.
             arena: Walls and pillars; by default none.
             seeds: One seed for every world; may be left out if the profile has no random errors.
             active: Which robots exist, shape (B, N); by default all.
@@ -71,7 +94,7 @@ class World:
         Raises:
             ConfigurationError: If shapes do not fit, an active robot's pose is not finite, or seeds are missing.
         """
-        converted("profile", profile, Profile)
+        composition = Composition.of(profile)
         converted("arena", arena, Arena | None)
         placed = np.array(as_array("poses", poses))
         require(
@@ -90,7 +113,7 @@ class World:
             b, i = bad[0]
             raise ConfigurationError(f"the pose of robot {i} in world {b} is {placed[b, i]}; it must be finite")
         placed[~self._active] = np.nan
-        self._profile = profile
+        self._composition = composition
         self._arena = Arena.open() if arena is None else arena
         # A pose moved by nothing has its heading wrapped.
         self._poses = integrate(placed, np.zeros_like(placed), 0.0)
@@ -99,16 +122,36 @@ class World:
         self._collided = np.zeros(worlds, dtype=np.bool_)
         self._hit_arena = np.zeros(worlds, dtype=np.bool_)
         self._time = 0.0
-        self._senses = SensorSuite(profile, self._poses, self._active, seeds, self._arena, from_lidar)
+        self._held = np.zeros_like(placed)
+        self._kinds: list[_Kind] = []
+        for each, own in zip(composition.profiles, composition.slices(robots), strict=True):
+            given = (self._poses[:, own], self._active[:, own], seeds, self._arena, from_lidar, own.start)
+            self._kinds.append(_Kind(each, own, SensorSuite(each, *given)))
+        self._arrange()
         self._record()
-        if not profile.lidar.rolling:
-            ranges, hits = self._snapshot()
-            self._senses.finish(ranges, self._poses, self._active, hits)
+        for kind in self._kinds:
+            if not kind.profile.lidar.rolling:
+                ranges, hits = self._snapshot(kind)
+                kind.senses.finish(ranges, self._poses[:, kind.robots], self._active[:, kind.robots], hits)
+
+    @property
+    def composition(self) -> Composition:
+        """Kinds of robots."""
+        return self._composition
 
     @property
     def profile(self) -> Profile:
-        """Kind of all robots."""
-        return self._profile
+        """Kind of all robots.
+
+        Raises:
+            ConfigurationError: There are several.
+        """
+        return self._composition.profile
+
+    @property
+    def newcomer(self) -> Profile:
+        """Kind of a robot that joins and takes no place of one that left: the last."""
+        return self._kinds[-1].profile
 
     @property
     def arena(self) -> Arena:
@@ -117,8 +160,8 @@ class World:
 
     @property
     def control_period(self) -> float:
-        """Time between two commands [s]."""
-        return self._profile.control_period
+        """Time between two commands [s]; of several kinds, the longest that fits the periods of all."""
+        return self._composition.control_period
 
     @property
     def time(self) -> float:
@@ -157,7 +200,12 @@ class World:
 
     def observe(self) -> PrivilegedView:
         """Return the newest scans whose latency has passed, and everybody's true pose."""
-        return self._senses.view(self._time, self._poses, self._velocities, self._active)
+        parts = []
+        for kind in self._kinds:
+            own = kind.robots
+            state = self._poses[:, own], self._velocities[:, own], self._active[:, own]
+            parts.append(kind.senses.view(self._time, *state))
+        return MixedView(parts, self._due, self._held.copy()) if self._composition.is_mixed else parts[0]
 
     def apply(self, commands: FloatArray, duration: float) -> None:
         """Hold body twists for a while.
@@ -165,24 +213,28 @@ class World:
         Args:
             commands: Body twists, shape (B, N, 3) [m/s, m/s, rad/s]; those of inactive robots are not used.
             duration: How long [s]. It is cut at the ends of LiDAR turns, and each part is integrated in equal steps
-                of at most the profile's ``time_step``.
+                of at most the profile's ``time_step``. Of several kinds, only those take their commands whose control
+                period begins now; the others hold theirs.
 
         Raises:
             TriformError: If the shape does not fit, a command is not finite, or the duration is not positive.
         """
         duration = converted("duration", duration, float)
-        targets = limit_twists(self._checked(commands), self._profile.drive)
+        targets = self._take(self._checked(commands))
         end = self._time + duration
-        for stop, turn_ends in self._senses.stretches(self._time, duration):
-            self._advance(targets, stop - self._time, turn_ends)
+        for stop, ending in stretches([kind.senses for kind in self._kinds], self._time, duration):
+            self._advance(targets, stop - self._time, ending)
             self._time = stop
-            if turn_ends:
-                ranges, hits = (None, None) if self._profile.lidar.rolling else self._snapshot()
-                self._senses.end_turn(ranges, self._poses, self._active, hits)
+            for kind in self._kinds:
+                if kind.senses in ending:
+                    ranges, hits = (None, None) if kind.profile.lidar.rolling else self._snapshot(kind)
+                    kind.senses.end_turn(ranges, self._poses[:, kind.robots], self._active[:, kind.robots], hits)
         self._time = end
 
     def add_robot(self, world: int, pose: ArrayLike) -> int:
         """Add a robot at rest to one world; the axis N grows if no place is free.
+
+        Of several kinds, it is of that of the one whose place it takes, or else of the last.
 
         Others see it from their next ray on. Its own first scan is the next one to be finished; of a rolling turn
         that has begun, the rays already past are ``NaN``.
@@ -207,8 +259,9 @@ class World:
         robot = int(free[0]) if len(free) else self._active.shape[1] - 1
         self._active[world, robot] = True
         self._poses[world, robot] = integrate(placed, np.zeros(3), 0.0)
-        self._velocities[world, robot] = 0.0
-        self._senses.add_robot(world, robot, self._poses[world, robot])
+        self._velocities[world, robot] = self._held[world, robot] = 0.0
+        kind = self._kind_of(robot)
+        kind.senses.add_robot(world, robot - kind.robots.start, self._poses[world, robot])
         self._record()
         return robot
 
@@ -224,8 +277,9 @@ class World:
             raise TriformError(f"world {world} has no robot {robot}; its robots are {present}")
         self._active[world, robot] = False
         self._poses[world, robot] = np.nan
-        self._velocities[world, robot] = 0.0
-        self._senses.remove_robot(world, robot)
+        self._velocities[world, robot] = self._held[world, robot] = 0.0
+        kind = self._kind_of(robot)
+        kind.senses.remove_robot(world, robot - kind.robots.start)
 
     def _checked(self, commands: FloatArray) -> FloatArray:
         values = as_array("commands", commands)
@@ -241,9 +295,35 @@ class World:
         if not 0 <= converted("world", world, int) < len(self._active):
             raise TriformError(f"there is no world {world}; worlds are 0 to {len(self._active) - 1}")
 
+    def _arrange(self) -> None:
+        """Set what kernels need to know of the kinds, for the present number of robots."""
+        composition, robots = self._composition, self._active.shape[1]
+        self._outlines = composition.outlines(robots)
+        self._scene = make_scene(self._outlines, self._arena, robots)
+        self._bounds = np.array([0, *(kind.robots.stop for kind in self._kinds)])
+        self._limits = np.stack([drive_limits(profile.drive) for profile in composition.profiles])
+
+    def _kind_of(self, robot: int) -> _Kind:
+        return next(kind for kind in self._kinds if robot < kind.robots.stop)
+
     @property
-    def _scene(self) -> Scene:
-        return Scene(self._profile.footprint.body, self._arena.walls, self._arena.pillars)
+    def _due(self) -> list[bool]:
+        """Which kinds take a command now."""
+        return [kind.period != self._period(kind) for kind in self._kinds]
+
+    def _period(self, kind: _Kind) -> int:
+        return math.floor((self._time + _SAME_TIME) / kind.profile.control_period)
+
+    def _take(self, commands: FloatArray) -> FloatArray:
+        """Give commands to the robots that take some now, and return what all are steering to."""
+        if not self._composition.is_mixed:
+            return limit_twists(commands, self._kinds[0].profile.drive)
+        for kind, due in zip(self._kinds, self._due, strict=True):
+            if due:
+                kind.period = self._period(kind)
+                own = np.where(self._active[:, kind.robots, None], commands[:, kind.robots], 0.0)
+                self._held[:, kind.robots] = own
+        return np.concatenate([limit_twists(self._held[:, kind.robots], kind.profile.drive) for kind in self._kinds], 1)
 
     @property
     def _contacts(self) -> Contacts:
@@ -253,41 +333,47 @@ class World:
         record = partial(record_contacts, self._poses, self._active, self._scene, self._contacts)
         in_parts(record, len(self._active), self._active.size, RECORDS_PER_THREAD)
 
-    def _advance(self, targets: FloatArray, duration: float, turn_ends: bool) -> None:
-        """Move by ``duration`` [s], which lies within one turn of the LiDAR."""
-        lidar = self._profile.lidar
-        substeps = max(1, math.ceil(duration / self._profile.time_step - 1e-6))
+    def _advance(self, targets: FloatArray, duration: float, ending: Sequence[SensorSuite]) -> None:
+        """Move by ``duration`` [s], which lies within one turn of each LiDAR."""
+        time_step = min(kind.profile.time_step for kind in self._kinds)
+        substeps = max(1, math.ceil(duration / time_step - 1e-6))
         step = duration / substeps
-        elapsed = self._senses.elapsed(self._time)
-        bounds = self._senses.rays_due(self._time, substeps, step, turn_ends)
         # Driving a robot for a step takes about as long as casting two rays.
-        rays = self._active.size * (2 * substeps + int(bounds[-1] - bounds[0]))
-        motion = Motion(self._poses, self._velocities, targets, self._active, drive_limits(self._profile.drive), step)
-        ray_period = lidar.period / lidar.scan.rays
-        rays_of_turn = scan_rays(self._profile.from_lidar, self._profile.mounting.x, self._profile.mounting.y)
-        senses = self._senses
-        turn = LidarTurn(bounds, elapsed, ray_period, rays_of_turn, senses.offsets, senses.ranges, senses.hits)
-        advance = partial(advance_worlds, motion, self._scene, self._contacts, turn)
-        in_parts(advance, len(self._active), rays, MOVING_RAYS_PER_THREAD)
+        work = 2 * substeps * self._active.size
+        turns = []
+        for kind in self._kinds:
+            profile, senses = kind.profile, kind.senses
+            due = senses.rays_due(self._time, substeps, step, senses in ending)
+            rays = scan_rays(profile.from_lidar, profile.mounting.x, profile.mounting.y)
+            ray_period = profile.lidar.period / profile.lidar.scan.rays
+            begun = (kind.robots.start, due, senses.elapsed(self._time), ray_period, rays)
+            turns.append(LidarTurn(*begun, senses.offsets, senses.ranges, senses.hits))
+            work += int(due[-1] - due[0]) * self._active[:, kind.robots].size
+        casts = any(turn.ray_bounds[-1] > turn.ray_bounds[0] for turn in turns)
+        state = (self._poses, self._velocities, targets, self._active)
+        motion = Motion(*state, self._bounds, self._limits, step, casts)
+        advance = partial(advance_worlds, motion, self._scene, self._contacts, tuple(turns))
+        in_parts(advance, len(self._active), work, MOVING_RAYS_PER_THREAD)
 
-    def _snapshot(self) -> tuple[RangeArray, HitArray | None]:
-        """All rays at this moment, without range noise, and what they hit if intensities are asked for."""
-        profile, mounting = self._profile, self._profile.mounting
-        scene = (profile.footprint, self._arena, profile.from_lidar, self._senses.draw_offsets(self._active))
-        hits = self._senses.no_hits(self._active)
-        eye = (mounting.x, mounting.y)
-        return cast_scans(self._poses, self._active, *scene, np.float32, eye, hits), hits
+    def _snapshot(self, kind: _Kind) -> tuple[RangeArray, HitArray | None]:
+        """All rays of one kind at this moment, without range noise, and what they hit if intensities are asked for."""
+        profile, robots, active = kind.profile, kind.robots, self._active[:, kind.robots]
+        hits, eye = kind.senses.no_hits(active), (profile.mounting.x, profile.mounting.y)
+        scene = (self._outlines, self._arena, profile.from_lidar, kind.senses.draw_offsets(active), np.float32, eye)
+        return np.ascontiguousarray(cast_scans(self._poses, self._active, *scene, robots, hits)), hits
 
     def _grow(self) -> None:
         """Append one place to axis N of everything."""
         self._active = np.pad(self._active, ((0, 0), (0, 1)))
         self._poses = padded(self._poses, np.nan)
-        self._velocities = padded(self._velocities, 0.0)
-        self._senses.grow()
+        self._velocities, self._held = padded(self._velocities, 0.0), padded(self._held, 0.0)
+        self._kinds[-1].robots = slice(self._kinds[-1].robots.start, self._active.shape[1])
+        self._kinds[-1].senses.grow()
+        self._arrange()
 
 
 def make_world(
-    robots: int = 9,
+    robots: int | None = None,
     seed: int = 7,
     runs: int = 1,
     profile: str = "ideal",
@@ -297,10 +383,11 @@ def make_world(
     """Return worlds at their random starts: runs 0, 1, ... of an evaluation with the same settings.
 
     Args:
-        robots: Robots of each team, N.
+        robots: Robots of each team, N; by default 9, or as many as the profiles say.
         seed: Seed of starts and noise.
         runs: Number of worlds, B.
-        profile: Robot profile: a name or a TOML file.
+        profile: Robot profile: a name or a TOML file; of several kinds each with its number of robots, such as
+            ``turtlebot4:3 hardware:2``.
         arena: Arena: a name or a TOML file.
         distance: Prescribed neighbour distance d* [m]; a robot sees 2 d* far.
 
@@ -310,6 +397,8 @@ def make_world(
     runs, distance = converted("runs", runs, int), converted("distance", distance, float)
     require(runs >= 1, f"runs is {runs}; at least 1 is needed")
     require(0 < distance < np.inf, f"distance is {distance} m; it must be positive and finite")
+    composition = Composition.parse(profile).changed(lambda kind: kind.seeing(SENSING_RANGE * distance))
+    robots = composition.team_size(robots, 9)
     poses = sample_starts(robots, runs, seed, distance=distance)
     seeds = world_seeds(robots, seed, range(runs))
-    return World(poses, get_profile(profile).seeing(SENSING_RANGE * distance), get_arena(arena), seeds)
+    return World(poses, composition, get_arena(arena), seeds)

@@ -9,10 +9,11 @@ import numpy as np
 
 from triform.geometry.cells import pairs_within, smallest_distance_of, squared_distance
 from triform.kernels import kernel
+from triform.simulation.body_kernels import body_reach
 from triform.simulation.contact_kernels import any_hits_arena, robots_overlap
 from triform.simulation.drive_kernels import drive_team
 from triform.simulation.moving_ray_kernels import DueRays, cast_moving, list_near, seen_within
-from triform.simulation.ray_kernels import ScanRays, body_reach
+from triform.simulation.ray_kernels import ScanRays
 
 
 class Motion(NamedTuple):
@@ -23,16 +24,20 @@ class Motion(NamedTuple):
         velocities: Actual body twists, shape (B, N, 3) [m/s, m/s, rad/s].
         targets: Limited commands, shape (B, N, 3) [m/s, m/s, rad/s].
         active: Which robots exist, shape (B, N).
-        limits: Of the drive, see ``drive_team``.
+        kinds: First robot of each kind, see ``drive_team``.
+        limits: Of the drive of each kind, see ``drive_team``.
         step: Length of one integration step [s].
+        casts: Whether a LiDAR measures meanwhile.
     """
 
     poses: Any
     velocities: Any
     targets: Any
     active: Any
+    kinds: Any
     limits: Any
     step: float
+    casts: bool
 
 
 class Contacts(NamedTuple):
@@ -50,19 +55,21 @@ class Contacts(NamedTuple):
 
 
 class LidarTurn(NamedTuple):
-    """The turn that the LiDARs of all worlds are measuring.
+    """The turn that the LiDARs of one kind of robots are measuring in all worlds.
 
     Attributes:
+        robot: The first of these M robots; the others follow it.
         ray_bounds: Integration step s measures the rays from ``ray_bounds[s]`` up to ``ray_bounds[s + 1]``, shape
             (S + 1,).
         elapsed: Time since ray 0 of this turn, when the first step begins [s].
         ray_period: Time between two rays [s].
         scan: Rays and limits of range.
-        offsets: Errors of the rays' angles, shape (B, N, R) [rad], or (B, N, 0) for none.
-        ranges: The turn, shape (B, N, R) [m].
-        hits: What its rays hit, see ``cast_moving``, shape (B, N, R), or (B, N, 0) if nobody asks.
+        offsets: Errors of the rays' angles, shape (B, M, R) [rad], or (B, M, 0) for none.
+        ranges: The turn, shape (B, M, R) [m].
+        hits: What its rays hit, see ``cast_moving``, shape (B, M, R), or (B, M, 0) if nobody asks.
     """
 
+    robot: int
     ray_bounds: Any
     elapsed: float
     ray_period: float
@@ -120,36 +127,41 @@ def _close_pairs(poses: Any, active: Any, body: Any, min_distance: float, collid
 
 
 @kernel
-def _advance_world(b: int, motion: Any, scene: Any, contacts: Any, turn: Any) -> None:
+def _advance_world(b: int, motion: Any, scene: Any, contacts: Any, turns: Any) -> None:
     """Advance world b, see ``advance_worlds``."""
     poses, velocities, targets, active = motion.poses[b], motion.velocities[b], motion.targets[b], motion.active[b]
     min_distance, collided, hit_arena = contacts.min_distance[b], contacts.collided[b], contacts.hit_arena[b]
-    body, step, ray_bounds = scene.body, motion.step, turn.ray_bounds
-    steps = ray_bounds.shape[0] - 1
+    body, step, steps = scene.body, motion.step, turns[0].ray_bounds.shape[0] - 1
     travel = _longest_travel(velocities, targets, active, steps * step)
     pairs = _close_pairs(poses, active, body, min_distance, collided, travel)
-    casts = ray_bounds[steps] > ray_bounds[0]
     near = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
-    if casts:
-        near = list_near(poses, active, seen_within(body, turn.scan, travel))
+    if motion.casts:
+        sight = 0.0
+        for turn in turns:
+            sight = max(sight, seen_within(body, turn.scan, travel))
+        near = list_near(poses, active, sight)
     before = np.empty_like(poses)
     for s in range(steps):
-        if casts:
+        if motion.casts:
             before[:] = poses
-        drive_team(poses, velocities, targets, active, motion.limits, step)
+        drive_team(poses, velocities, targets, active, motion.kinds, motion.limits, step)
         min_distance, collided = _record_pairs(poses, pairs, body, min_distance, collided)
         if not hit_arena:
             hit_arena = any_hits_arena(poses, active, scene)
-        if ray_bounds[s + 1] > ray_bounds[s]:
-            first_share = (ray_bounds[s] * turn.ray_period - (turn.elapsed + s * step)) / step
-            due = DueRays(ray_bounds[s], ray_bounds[s + 1], first_share, turn.ray_period / step)
-            measured = turn.ranges[b], turn.hits[b]
-            cast_moving(before, poses, active, near, scene, turn.scan, turn.offsets[b], due, *measured)
+        if not motion.casts:
+            continue
+        for turn in turns:
+            first, last = turn.ray_bounds[s], turn.ray_bounds[s + 1]
+            if last > first:
+                first_share = (first * turn.ray_period - (turn.elapsed + s * step)) / step
+                due = DueRays(turn.robot, first, last, first_share, turn.ray_period / step)
+                measured = turn.ranges[b], turn.hits[b]
+                cast_moving(before, poses, active, near, scene, turn.scan, turn.offsets[b], due, *measured)
     contacts.min_distance[b], contacts.collided[b], contacts.hit_arena[b] = min_distance, collided, hit_arena
 
 
 @kernel
-def advance_worlds(motion: Any, scene: Any, contacts: Any, turn: Any, first: int, last: int) -> None:
+def advance_worlds(motion: Any, scene: Any, contacts: Any, turns: Any, first: int, last: int) -> None:
     """Advance the worlds ``first <= b < last`` by equal steps while their bases steer to their targets.
 
     Who may come close to whom, or see whom, is found once, with an allowance for the way all go meanwhile.
@@ -158,9 +170,9 @@ def advance_worlds(motion: Any, scene: Any, contacts: Any, turn: Any, first: int
         motion: ``Motion``; poses and velocities are updated.
         scene: ``Scene``.
         contacts: ``Contacts``, updated.
-        turn: ``LidarTurn``; ranges are updated.
+        turns: A tuple with the ``LidarTurn`` of each kind of robots; ranges are updated.
         first: First world to advance.
         last: One past the last world to advance.
     """
     for b in range(first, last):
-        _advance_world(b, motion, scene, contacts, turn)
+        _advance_world(b, motion, scene, contacts, turns)

@@ -59,6 +59,7 @@ class GazeboTeam:
         )
         self._server = server
         self.profile, self.arena, self.control_period = profile, server.arena, profile.control_period
+        self.newcomer = profile
         self.time = 0.0
         self.min_distance: FloatArray = np.array([math.inf])
         self.collided: BoolArray = np.array([False])

@@ -96,6 +96,7 @@ class MujocoTeam:
         check_base(base, profile)
         worlds, robots = placed.shape[:2]
         self.profile, self.arena, self.control_period = profile, arena or Arena.open(), profile.control_period
+        self.newcomer = profile
         self.time = 0.0
         self.min_distance: FloatArray = np.full(worlds, np.inf)
         self.collided: BoolArray = np.zeros(worlds, np.bool_)
