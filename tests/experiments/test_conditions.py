@@ -17,7 +17,7 @@ def test_every_condition_is_swept_over_every_size():
     assert tuple(SWEEPS) == CONDITIONS
     assert counted == {
         "range-noise": 12, "dropped-rays": 10, "scan-rate": 10, "latency": 12, "speed": 10, "acceleration": 8,
-        "lag": 10, "footprint": 14, "arena": 6, "team-size": 10, "distance": 10, "event": 9,
+        "lag": 10, "footprint": 14, "arena": 8, "team-size": 10, "distance": 10, "event": 9,
     }  # fmt: skip
     assert len({cell.key for cell in cells}) == len(cells)
     assert len({cell.name for cell in cells}) == len(cells)
