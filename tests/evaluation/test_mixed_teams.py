@@ -56,8 +56,22 @@ def test_each_kind_has_the_threshold_of_its_own_lidar() -> None:
     for part in view.parts:
         assert part.scans.intensities is not None
     assert np.isfinite(controller.command(view)).all()
+    assert scenario.make_controller(controller) is controller
     # One that sees all poses of the team sees no scans.
     assert np.isfinite(scenario.make_controller("triangulating").command(view)).all()
+
+
+def test_a_mixed_team_with_tape_forms_up_among_pillars() -> None:
+    scenario = Scenario("hardware:3 turtlebot3-burger:2", "pillars", overrides=Overrides(min_intensity=230.0))
+    _, table = scenario.run(scenario.sample_starts(5, 1, 5), "policy")
+    assert table["success"].all()
+    assert not table["collision"].any()
+    assert not table["hit_arena"].any()
+
+
+def test_a_lidar_without_intensities_is_named() -> None:
+    with pytest.raises(ConfigurationError, match="LiDAR of the profile 'turtlebot4' does not say how bright"):
+        Scenario("hardware:2 turtlebot4:3", overrides=Overrides(min_intensity=230.0))
 
 
 @pytest.mark.parametrize("name", ["triangulating", "gnn"])

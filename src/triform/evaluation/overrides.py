@@ -73,6 +73,11 @@ class Overrides:
             ConfigurationError: There is no such footprint, or the LiDAR measures no intensities.
         """
         noise = self.range_noise
+        require(
+            self.min_intensity is None or profile.lidar.intensities,
+            f"min_intensity is {self.min_intensity}, but the LiDAR of the profile {profile.name!r} does not say how "
+            "bright its returns are",
+        )
         lidar = _given(
             profile.lidar,
             scan=replace(profile.lidar.scan, range_max=SENSING_RANGE * distance),
