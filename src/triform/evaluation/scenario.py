@@ -189,9 +189,9 @@ class Scenario:
         Raises:
             TriformError: There is no such controller, or its weights cannot be used.
         """
+        if isinstance(controller, MixedController):
+            return controller
         team, first = self.team, self._make_own(controller, self.team.profiles[0])
-        if isinstance(first, MixedController):
-            return first
         everyone = first if team.is_mixed and first.privileged else None
         own = [first] + [everyone or self._make_own(controller, profile) for profile in team.profiles[1:]]
         if self.guard:
