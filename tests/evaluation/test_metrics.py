@@ -126,6 +126,20 @@ def test_teams_out_of_each_others_sight_count_as_success_only_within_it():
     assert not table["connected_end"].any()
 
 
+def test_a_bay_wider_than_sight_is_told_from_a_defect():
+    # Two arms of the lattice on a base of two rows; they are farther apart than robots see.
+    arm = [(column + row % 2 / 2, row) for row in range(1, 5) for column in (0, 1)]
+    base = [(x, 0.0) for x in range(7)] + [(x + 0.5, -1.0) for x in range(6)]
+    places = base + arm + [(6 - x, row) for x, row in arm]
+    bay = np.array(places) * [1.0, math.sqrt(0.75)]
+    table = measure(still([bay]))
+    assert not table["strict"].any()
+    assert table["strict_sensed"].all()
+    broken = bay.copy()
+    broken[3] += [0.0, -0.2]
+    assert not measure(still([broken]))["strict_sensed"].any()
+
+
 def test_absent_robots_change_nothing():
     alone = measure(still([hexagon()]))
     padded = np.concatenate([hexagon(), [[0.3, 0.2], [9.0, 9.0]]])

@@ -74,6 +74,27 @@ def test_a_lidar_without_intensities_is_named() -> None:
         Scenario("hardware:2 turtlebot4:3", overrides=Overrides(min_intensity=230.0))
 
 
+@pytest.mark.parametrize("guard", [True, False])
+def test_a_made_controller_stays_as_it_is_and_runs_like_its_name(guard: bool) -> None:
+    bright = Overrides(min_intensity=150.0)
+    scenario = Scenario("hardware:2 ideal:1", duration=5.0, guard=guard, overrides=bright)
+    made = scenario.make_controller("scan-pipeline")
+    assert scenario.make_controller(made) is made
+    starts = scenario.sample_starts(3, 1, 7)
+    run, again = (scenario.run(starts, each)[0] for each in (made, "scan-pipeline"))
+    np.testing.assert_array_equal(run.poses, again.poses)
+
+
+def test_a_kind_may_lose_its_last_robot() -> None:
+    event = Event.parse("leave@5")
+    for profile, lost in (("turtlebot4:1 hardware:1", {0, 1}), ("turtlebot3-burger:1", {0})):
+        scenario = Scenario(profile, duration=10.0, event=event)
+        runs = 4
+        _, table = scenario.run(scenario.sample_starts(len(lost), runs, 7), "scan-pipeline")
+        assert set(table["changed_robot"].tolist()) == lost
+        assert table["robots"].tolist() == [len(lost) - 1] * runs
+
+
 @pytest.mark.parametrize("name", ["triangulating", "gnn"])
 def test_a_privileged_controller_sees_everybody_and_each_kind_its_own_filter(name: str) -> None:
     scenario = Scenario(MIXED)

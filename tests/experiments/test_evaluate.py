@@ -19,8 +19,8 @@ from triform.types import ConfigurationError, TriformError
 
 QUICK = {"controller": "expert-sensed", "robots": (3, 4), "runs": 3, "duration": 6.0, "seed": 5}
 PROMISED = {
-    "robots", "runs", "success", "success_sensed", "strict", "formation_error_median", "formation_error_p95",
-    "converge_time_median", "compactness_mean", "min_distance", "collision",
+    "robots", "runs", "success", "success_sensed", "strict", "strict_sensed", "formation_error_median",
+    "formation_error_p95", "converge_time_median", "compactness_mean", "min_distance", "collision",
 }  # fmt: skip
 
 

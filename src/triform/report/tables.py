@@ -64,6 +64,7 @@ _COLUMNS = (
     ("success", "success", "%"),
     ("sensed", "success_sensed", "%"),
     ("strict", "strict", "%"),
+    ("strict sensed", "strict_sensed", "%"),
     ("hold", "strict_hold_mean", "%"),
     ("strict at", "strict_time_median", "s"),
     ("drift", "settled_speed_median", "cm/s"),
@@ -76,13 +77,14 @@ _COLUMNS = (
 )
 
 #: Columns that a terminal of 80 characters has no room for.
-WIDE = ("hold", "95 % error", "compact")
+WIDE = ("strict sensed", "hold", "95 % error", "compact")
 
 #: What the headings of tables mean.
 MEANINGS = {
     "success": "the formation error, averaged over the last 5 s, is below 10 %",
     "sensed": "success over pairs within 2 d*",
     "strict": "the run ends in a true triangulation",
+    "strict sensed": "strict over pairs within 2 d*",
     "hold": "mean share of the last 5 s in which a run is strict",
     "strict at": "median time from which runs are strict to the end",
     "drift": "median speed of strict robots in the last 5 s",

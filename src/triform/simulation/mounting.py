@@ -156,7 +156,7 @@ class Placement:
         rows = np.ascontiguousarray(ranges).reshape(-1, self.scan.rays)
         placed = np.empty_like(rows)
         bright = np.zeros((len(rows), 0)) if intensities is None else np.ascontiguousarray(intensities)
-        bright = bright.reshape(len(rows), -1)
+        bright = bright.reshape(len(rows), bright.shape[-1])
         shown = np.zeros_like(bright)
         limits = (self.scan.angle_min, self.scan.range_min, self.scan.range_max)
         for row, out, level, level_out in zip(rows, placed, bright, shown, strict=True):
