@@ -58,6 +58,11 @@ class MixedView(PrivilegedView):
             "the view"
         )
 
+    def with_poses(self, poses: FloatArray) -> MixedView:
+        """Return the view with other poses, shape (B, N, 3) [m, m, rad], in its parts too."""
+        parts = [part.with_poses(poses[:, own]) for part, own in zip(self.parts, self.robots, strict=True)]
+        return MixedView(parts, self.due, self.held)
+
     @property
     def robots(self) -> tuple[slice, ...]:
         """Which robots each part is about, along axis N."""

@@ -19,7 +19,7 @@ import numbers
 import os
 import sys
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, NamedTuple, Protocol, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -415,6 +415,10 @@ class PrivilegedView(View):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._convert("poses", 3)
+
+    def with_poses(self, poses: FloatArray) -> PrivilegedView:
+        """Return the view with other poses, shape (B, N, 3) [m, m, rad]."""
+        return replace(self, poses=poses)
 
 
 ViewIn = TypeVar("ViewIn", bound=View, contravariant=True)

@@ -23,7 +23,7 @@ from triform.experiments.ablation import (
     run_ablate,
 )
 from triform.experiments.evaluate import EvaluateConfig, evaluate
-from triform.simulation import World, get_profile
+from triform.simulation import World, get_profile, world_seeds
 from triform.types import ConfigurationError, TriformError
 
 QUICK = {"robots": (3, 4), "runs": 2, "seed": 3, "duration": 6.0, "threads": 1}
@@ -146,6 +146,17 @@ def test_noise_does_not_depend_on_other_worlds():
     poses = team(3).poses[1:2]
     NoisyPositions(alone, 0.02).command(World(poses, get_profile("ideal"), seeds=[1]).observe())
     np.testing.assert_array_equal(together.shown[0][1:2], alone.shown[0])
+
+
+def test_noise_reaches_every_robot_of_a_mixed_team():
+    scenario = Scenario("hardware:1 turtlebot4:2")
+    view = scenario.make_world(scenario.sample_starts(3, 1, 7), world_seeds(3, 7, [0])).observe()
+    recorder = Recorder()
+    NoisyPositions(recorder, 0.02).command(view)
+    assert (recorder.shown[0] != view.poses)[..., :2].all()
+    moved = view.with_poses(recorder.shown[0])
+    np.testing.assert_array_equal(np.concatenate([part.poses for part in moved.parts], axis=1), recorder.shown[0])
+    assert moved.due == view.due
 
 
 def test_noise_needs_pushes():

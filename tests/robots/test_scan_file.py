@@ -49,11 +49,12 @@ def test_intensities_are_summed_up_by_distance(tmp_path: Path) -> None:
         ("", "has other columns than the scans of a recording"),
         ("started,ended,range_0\n1,2,3\n", "has other columns"),
         ("started,ended,range_0,intensity_0\n", "holds no scan"),
-        ("started,ended,range_0,intensity_0\n1,2,3,x\n", "holds something else than numbers"),
+        ("started,ended,range_0,intensity_0\n1,2,3,x\n", "holds something else than rows of numbers"),
+        ("started,ended,range_0,intensity_0\n1,2,3,4\n1,2\n", "holds something else than rows of numbers"),
+        ("started,ended,range_0,intensity_0\n1,2,3", "holds no scan"),
         ("started,ended,range_0,intensity_0\n1,2,3\n", "has 3 numbers in a row under 4 columns"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:loadtxt")
 def test_other_files_are_refused_in_one_sentence(content: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "scans.csv").write_text(content)
     with pytest.raises(TriformError, match=f"^[^\n]*scans.csv {says}[^\n]*$"):
@@ -61,6 +62,13 @@ def test_other_files_are_refused_in_one_sentence(content: str, says: str, tmp_pa
 
 
 def test_returns_without_intensities_are_none_to_show(tmp_path: Path) -> None:
-    write(tmp_path, np.array([[0.0, 0.1, 1.0, np.nan]]), scan_columns(1))
+    write(tmp_path, np.array([[0.0, 0.1, 1.0, np.nan], [0.1, 0.2, 1.0, np.inf]]), scan_columns(1))
     with pytest.raises(TriformError, match="have no returns whose intensity is known"):
         Show("intensities", str(tmp_path)).run(Console(file=io.StringIO()))
+
+
+def test_half_a_last_line_costs_its_scan_alone(tmp_path: Path) -> None:
+    write(tmp_path, np.arange(8.0).reshape(2, 4), scan_columns(1))
+    path = tmp_path / "scans.csv"
+    path.write_text(path.read_text() + "8.0,9.0,1")
+    np.testing.assert_array_equal(read_scans(tmp_path).ranges, [[2.0], [6.0]])

@@ -196,3 +196,6 @@ def test_intensities_that_cannot_be_are_refused(content: str, says: str, tmp_pat
         get_profile(str(path))
     with pytest.raises(ConfigurationError, match="wall_intensities of shape"):
         Arena("hall", np.eye(4)[:3], wall_intensities=[1.0])
+    for level in (-1.0, np.inf):
+        with pytest.raises(ConfigurationError, match=f"^one of wall_intensities is {level:g}; it must be finite"):
+            Arena("hall", [[0, 0, 1, 1]], wall_intensities=[level])

@@ -195,6 +195,10 @@ def test_bases_fit_robots():
             MujocoTeam(
                 [[[0, 0, 0]]], replace(IDEAL, footprint=Footprint.circle(size), drive=rolling), base="differential"
             )
+    for radius in (1e-6, 0.2, 1.5):
+        rolling = Drive(kind="differential", max_turn_rate=2.0, track=0.2, wheel_radius=radius)
+        with pytest.raises(ConfigurationError, match=f"wheel_radius is {radius} m; in a simulator"):
+            MujocoTeam([[[0, 0, 0]]], replace(IDEAL, drive=rolling), base="differential")
     for radius in (0.0, -1.0, math.inf):
         with pytest.raises(ConfigurationError, match="wheel_radius is"):
             Drive(wheel_radius=radius)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from triform.control import CONTROLLERS, ControllerSpec, make_controller, shipped_weights
+from triform.evaluation.overrides import Overrides
 from triform.evaluation.scenario import Scenario
 from triform.policy.checkpoint import read_spec, write_policy
 from triform.timing.step_time import (
@@ -44,6 +45,12 @@ def test_a_robot_alone_sees_what_it_sees_in_its_team(views):
         together = np.concatenate([controller.command(view).reshape(-1, 3) for view in views[:4]])
         alone = np.concatenate([controller.command(view).reshape(-1, 3) for view in singles[: 4 * TEAM]])
         np.testing.assert_array_equal(alone, together)
+
+
+def test_a_robot_alone_keeps_its_intensities():
+    views = record_views(Scenario(overrides=Overrides(min_intensity=200.0)), 3)
+    alone = np.concatenate([view.scans.intensities for view in single_views(views)], axis=1)
+    np.testing.assert_array_equal(alone, np.concatenate([view.scans.intensities for view in views], axis=1))
 
 
 class Sleeper:

@@ -123,7 +123,7 @@ class NoisyPositions:
         poses = view.poses.copy()
         # The difference of two positions errs by both errors.
         poses[..., :2] += self._noise / np.sqrt(2) * exploration_noise(keys, poses.shape[1], moment)
-        return self._controller.command(replace(view, poses=poses))
+        return self._controller.command(view.with_poses(poses))
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ class RecordedScans:
             For each stretch of ``DISTANCES`` with returns: where it begins [m], how many returns it has, and the
             intensity that each share of them does not exceed, of the shape of ``shares``.
         """
-        told = np.isfinite(self.ranges) & ~np.isnan(self.intensities)
+        told = np.isfinite(self.ranges) & np.isfinite(self.intensities)
         ranges, intensities = self.ranges[told], self.intensities[told]
         stretch = np.searchsorted(DISTANCES, ranges, side="right") - 1
         return [
@@ -76,11 +76,13 @@ def read_scans(folder: Path) -> RecordedScans:
             rays = (len(columns) - 2) // 2
             if columns != scan_columns(rays):
                 raise TriformError(f"{path} has other columns than the scans of a recording of triform drive")
-            rows = np.loadtxt(file, delimiter=",", ndmin=2)
+            # A drive that was killed, or a full disk, leaves half a line.
+            lines = [line for line in file if line.endswith("\n")]
+        rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.zeros((0, len(columns)))
     except OSError as error:
         raise TriformError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}") from None
     except ValueError as error:
-        raise TriformError(f"{path} holds something else than numbers: {error}") from None
+        raise TriformError(f"{path} holds something else than rows of numbers: {str(error).split(';')[0]}") from None
     if rows.size == 0:
         raise TriformError(f"{path} holds no scan")
     if rows.shape[1] != len(columns):

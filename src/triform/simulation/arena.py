@@ -48,10 +48,14 @@ class Arena:
     def _check_intensities(self, name: str, obstacles: int) -> None:
         """Refuse intensities of obstacles of a kind that are not one for each."""
         values = np.array(as_array(name, getattr(self, name)))
-        fits = values.shape in ((0,), (obstacles,))
         require(
-            fits and bool((np.isnan(values) | ((values >= 0) & (values < np.inf))).all()),
-            f"{name} of shape {values.shape} given; one for each of {obstacles}, finite and not negative, is needed",
+            values.shape in ((0,), (obstacles,)),
+            f"{name} of shape {values.shape} given; one for each of {obstacles} is needed",
+        )
+        wrong = values[~(np.isnan(values) | ((values >= 0) & (values < np.inf)))]
+        require(
+            wrong.size == 0,
+            f"one of {name} is {wrong[:1].sum():g}; it must be finite and not negative",
         )
         object.__setattr__(self, name, values)
 

@@ -33,6 +33,8 @@ MAX_TURN_ACCELERATION = 10.0
 #: A wall of an arena is a line; a simulator needs a body [m].
 WALL_THICKNESS = 0.001
 WALL_HEIGHT = 0.5
+#: Radius of a differential base's smallest wheels [m]; smaller ones turn too fast for a step of the physics.
+_SMALLEST_RADIUS = 0.01
 
 
 def braked(drive: Drive) -> Drive:
@@ -66,7 +68,7 @@ def check_base(base: Base, profile: Profile) -> None:
 
 
 def check_axle(profile: Profile) -> None:
-    """Make sure that the two wheels of a differential profile fit under its footprint.
+    """Make sure that the two wheels of a differential profile fit under its footprint and its chassis.
 
     Raises:
         ConfigurationError: They do not, or their distance is not known.
@@ -76,6 +78,12 @@ def check_axle(profile: Profile) -> None:
         0 < track < width,
         f"track is {track} m; the wheels of a differential base need a distance, and a place under their footprint, "
         f"which is {width} m wide",
+    )
+    radius = profile.drive.wheel_radius
+    require(
+        _SMALLEST_RADIUS <= radius < LIDAR_HEIGHT,
+        f"wheel_radius is {radius} m; in a simulator with wheels it is at least {_SMALLEST_RADIUS} m, and less than "
+        f"the {LIDAR_HEIGHT} m at which LiDARs see the chassis above the wheels",
     )
 
 

@@ -48,7 +48,11 @@ def single_views(views: Sequence[PrivilegedView]) -> list[PrivilegedView]:
     return [
         replace(
             view,
-            scans=replace(view.scans, ranges=view.scans.ranges[:, i : i + 1]),
+            scans=replace(
+                view.scans,
+                ranges=view.scans.ranges[:, i : i + 1],
+                intensities=None if view.scans.intensities is None else view.scans.intensities[:, i : i + 1],
+            ),
             active=view.active[:, i : i + 1],
             poses=view.poses[:, i : i + 1],
             noise=None if view.noise is None else view.noise[:, i : i + 1],
