@@ -65,7 +65,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         (["show", "policies", "paper"], "only listed"),
         (["show", "intensities"], "name is missing; intensities are those of a recording"),
         (["evaluate", "--simulator", "gazebo", "--min-intensity", "230"], "Gazebo's"),
-        (["evaluate", "--profile", "turtlebot4", "--min-intensity", "230"], "but this LiDAR does not say"),
+        (["evaluate", "--profile", "turtlebot4", "--min-intensity", "230"], "but the LiDAR of the profile"),
         (["drive", "--lidar-model", "rplidar-a1"], "run its ROS 2 driver"),
     ],
 )

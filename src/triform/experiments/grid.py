@@ -168,7 +168,9 @@ class Grid:
         """Write one row per run of everything that is done now or was kept, with the columns that all have."""
         if self._path is None:
             return
-        self._kept |= {cell.key: self._digests[cell] for cell in self.done}
+        # In the order of the cells, whichever was done first.
+        own = {cell.key: self._digests[cell] for cell in self.done}
+        self._kept = {key: settings for key, settings in self._kept.items() if key not in own} | own
         tables = []
         for key, settings in self._kept.items():
             table = self._tables[settings]
