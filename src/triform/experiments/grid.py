@@ -168,11 +168,10 @@ class Grid:
         """Write one row per run of everything that is done now or was kept, with the columns that all have."""
         if self._path is None:
             return
-        # In the order of the cells, whichever was done first.
-        own = {cell.key: self._digests[cell] for cell in self.done}
-        self._kept = {key: settings for key, settings in self._kept.items() if key not in own} | own
+        # After what was kept, in the order of the cells, whichever was done first.
+        kept = self._kept | {cell.key: self._digests[cell] for cell in self.done}
         tables = []
-        for key, settings in self._kept.items():
+        for key, settings in kept.items():
             table = self._tables[settings]
             values = zip((*self._columns, *_KEYS), (*key, settings), strict=True)
             tables.append({name: np.full(len(table["run"]), value) for name, value in values} | table)
