@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from triform.simulation import Arena, Mounting, Profile, noise_sigma
-from triform.simulation.profiles import Drive, Footprint
+from triform.simulation.profiles import Drive
 from triform.simulators.chassis import (
     BALL_RADIUS,
     CASTER_PLACE,
@@ -22,14 +22,13 @@ from triform.simulators.chassis import (
     LIDAR_HEIGHT,
     MASS,
     WALL_HEIGHT,
-    WALL_THICKNESS,
     WHEEL_HALF_WIDTH,
     WHEEL_MASS,
     braked,
     check_axle,
     moments_of_inertia,
 )
-from triform.simulators.sdf import box, cylinder, inertia, pose
+from triform.simulators.sdf import cylinder, inertia, obstacles, outline, pose
 from triform.types import FloatArray, require
 
 #: Step of the physics [s].
@@ -76,13 +75,6 @@ def write_gz_world(profile: Profile, arena: Arena, poses: FloatArray) -> str:
     require(len(poses) <= most, f"{len(poses)} robots; LiDARs in a world of Gazebo tell at most {most} from each other")
     if profile.drive.is_differential:
         check_axle(profile)
-    obstacles = []
-    for index, (x1, y1, x2, y2) in enumerate(arena.walls.tolist()):
-        place = ((x1 + x2) / 2, (y1 + y2) / 2, math.atan2(y2 - y1, x2 - x1))
-        shape = box(math.hypot(x2 - x1, y2 - y1), WALL_THICKNESS, WALL_HEIGHT)
-        obstacles.append(_obstacle(f"wall{index}", place, shape))
-    for index, (x, y, radius) in enumerate(arena.pillars.tolist()):
-        obstacles.append(_obstacle(f"pillar{index}", (x, y, 0.0), cylinder(radius, WALL_HEIGHT)))
     ground = "<plane><normal>0 0 1</normal><size>100 100</size></plane>"
     return f"""<?xml version="1.0"?>
 <sdf version="1.9"><world name="triform">
@@ -97,7 +89,7 @@ def write_gz_world(profile: Profile, arena: Arena, poses: FloatArray) -> str:
   <model name="ground"><static>true</static>
     <link name="link">{_collision("ground", ground, 0.0, 1.0)}{_visual("ground", ground, 0.0, "0.8 0.8 0.8")}</link>
   </model>
-  {"".join(obstacles)}
+  {"".join(_obstacle(*each) for each in obstacles(arena))}
   {"".join(_robot(index, profile, *each) for index, each in enumerate(poses.tolist()))}
 </world></sdf>
 """
@@ -145,7 +137,7 @@ def _robot(index: int, profile: Profile, x: float, y: float, heading: float) -> 
     wheels = drive.is_differential
     clearance = drive.wheel_radius if wheels else _CLEARANCE
     mass = MASS - 2 * WHEEL_MASS if wheels else MASS
-    shape, middle = _outline(footprint, HEIGHT - clearance), (HEIGHT + clearance) / 2
+    shape, middle = outline(footprint, HEIGHT - clearance), (HEIGHT + clearance) / 2
     place = CASTER_PLACE * footprint.half_length
     ball = f"<sphere><radius>{BALL_RADIUS}</radius></sphere>"
     casters = (("front", place), ("rear", -place)) if wheels else ()
@@ -159,12 +151,6 @@ def _robot(index: int, profile: Profile, x: float, y: float, heading: float) -> 
     </link>
     {_axle(name, drive) if wheels else _floating(name)}
   </model>"""
-
-
-def _outline(footprint: Footprint, height: float) -> str:
-    if footprint.is_circle:
-        return cylinder(footprint.half_length, height)
-    return box(footprint.length, footprint.width, height)
 
 
 def _lidar(name: str, profile: Profile, mask: int) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from xml.sax.saxutils import quoteattr
 
 from triform.simulation.arena import Arena
@@ -14,7 +13,6 @@ from triform.simulators.chassis import (
     LIDAR_HEIGHT,
     MASS,
     WALL_HEIGHT,
-    WALL_THICKNESS,
     WHEEL_MASS,
     WHEEL_PLACE,
     Base,
@@ -22,7 +20,7 @@ from triform.simulators.chassis import (
     check_wheels,
     moments_of_inertia,
 )
-from triform.simulators.sdf import box, cylinder, inertia, pose
+from triform.simulators.sdf import inertia, obstacles, outline, pose
 
 #: Bits of what may touch what: wheels touch the ground alone.
 _BODY, _WHEEL = 1, 2
@@ -40,13 +38,6 @@ def write_world(profile: Profile, arena: Arena, robots: int, base: Base, time_st
         plugin: Path of the lock-step plugin as Gazebo sees it.
     """
     scan, drive = profile.lidar.scan, braked(profile.drive)
-    obstacles = []
-    for index, (x1, y1, x2, y2) in enumerate(arena.walls.tolist()):
-        place = ((x1 + x2) / 2, (y1 + y2) / 2, math.atan2(y2 - y1, x2 - x1))
-        shape = box(math.hypot(x2 - x1, y2 - y1), WALL_THICKNESS, WALL_HEIGHT)
-        obstacles.append(_obstacle(f"wall{index}", place, shape))
-    for index, (x, y, radius) in enumerate(arena.pillars.tolist()):
-        obstacles.append(_obstacle(f"pillar{index}", (x, y, 0.0), cylinder(radius, WALL_HEIGHT)))
     ground = _collision("<plane><normal>0 0 1</normal><size>100 100</size></plane>", 0.0, _BODY | _WHEEL, (1.0, 1.0))
     return f"""<sdf version="1.6"><world name="triform">
     <physics type="ode">
@@ -65,7 +56,7 @@ def write_world(profile: Profile, arena: Arena, robots: int, base: Base, time_st
       <max_turn_acceleration>{drive.max_turn_acceleration}</max_turn_acceleration>
     </plugin>
     <model name="ground"><static>true</static><link name="link">{ground}</link></model>
-    {"".join(obstacles)}
+    {"".join(_obstacle(*each) for each in obstacles(arena))}
     {"".join(_robot(index, profile.footprint, base) for index in range(robots))}
     </world></sdf>"""
 
@@ -98,16 +89,11 @@ def _robot(index: int, footprint: Footprint, base: Base) -> str:
     # On wheels the body hangs clear of the ground.
     clearance = WHEEL_RADIUS if wheels else 0.0
     height = HEIGHT - clearance
-    shape = (
-        cylinder(footprint.half_length, height)
-        if footprint.is_circle
-        else box(footprint.length, footprint.width, height)
-    )
     signs = (("fl", 1, 1), ("fr", 1, -1), ("rl", -1, 1), ("rr", -1, -1)) if wheels else ()
     return f"""<model name="robot{index}">{pose(0.0, 0.0, -100.0 * (index + 1))}
       <link name="base">
         {inertia(mass, CENTRE_OF_MASS, moments_of_inertia(footprint, mass))}
-        {_collision(shape, clearance + height / 2, _BODY, (0.0, 0.0))}
+        {_collision(outline(footprint, height), clearance + height / 2, _BODY, (0.0, 0.0))}
       </link>
       {"".join(_wheel(name, x * WHEEL_PLACE, y * WHEEL_PLACE) for name, x, y in signs)}
     </model>"""
