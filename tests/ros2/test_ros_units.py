@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.ros2.conftest import PACKAGE
-from triform.control import SafetyFilter
+from triform.control import limit_by_scans
 from triform.robots.filter import safety_settings
 from triform.robots.frames import FrameTree, mounting_of
 from triform.simulation import PROFILES, Mounting, World, get_profile, integrate
@@ -155,7 +155,7 @@ def test_neighbours_are_where_they_are_from_where_the_robot_has_come_to() -> Non
 @pytest.mark.parametrize("name", ["rosbot-xl", "turtlebot4"])
 def test_what_is_drawn_as_allowed_the_filter_allows_and_nothing_beyond(name: str) -> None:
     """Each point of the border passes the filter; a little farther out it does not, unless at full speed."""
-    from triform_ros.markers import _Fixed, allowed_velocities
+    from triform_ros.markers import allowed_velocities
 
     profile = get_profile(name)
     rules = safety_settings(profile)
@@ -168,7 +168,7 @@ def test_what_is_drawn_as_allowed_the_filter_allows_and_nothing_beyond(name: str
 
     def filtered(x: float, y: float) -> np.ndarray:
         command = np.array([[[x, y, 0.0]]])
-        return SafetyFilter(_Fixed(command), rules).command(view)[0, 0, :2]
+        return limit_by_scans(view, command, rules)[0, 0, :2]
 
     for x, y in border:
         np.testing.assert_allclose(filtered(x, y), [x, y], atol=1e-9)

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from triform.control import SafetyFilter, SafetySettings
+from triform.control import SafetySettings, limit_by_scans
 from triform.control.detection import detect_robots
 from triform.robots.real import Step
 from triform.simulation import integrate
@@ -57,19 +57,6 @@ class Intended:
         return command
 
 
-class _Fixed:
-    """A controller that commands the same whatever is seen."""
-
-    privileged = False
-    description: dict[str, Any] = {"name": "fixed"}  # noqa: RUF012
-
-    def __init__(self, commands: FloatArray) -> None:
-        self._commands = commands
-
-    def command(self, view: View) -> FloatArray:  # noqa: ARG002
-        return self._commands
-
-
 def neighbours(view: View, footprint: tuple[float, float] | float) -> FloatArray:
     """Return the centres of the robots in a robot's scan, from where it comes to rest, shape (M, 2) [m]."""
     centres = detect_robots(view.scans, footprint)[0][0, 0]
@@ -98,7 +85,7 @@ def allowed_velocities(view: View, settings: SafetySettings) -> FloatArray:
         time=view.time,
         odometry=None if view.odometry is None else np.broadcast_to(view.odometry, (*asked, 3)),
     )
-    return SafetyFilter(_Fixed(wanted[:, None]), settings).command(many)[:, 0, :2]
+    return limit_by_scans(many, wanted[:, None], settings)[:, 0, :2]
 
 
 def way_of(command: FloatArray) -> FloatArray:

@@ -11,7 +11,6 @@ from typing import Any
 
 from triform.control import (
     ControllerSpec,
-    IntensityThreshold,
     SafetySettings,
     bright_returns,
     make_controller,
@@ -19,9 +18,9 @@ from triform.control import (
 )
 from triform.control.detection import kernel_footprint
 from triform.policy import read_spec
-from triform.robots.filter import safety_settings
+from triform.robots.filter import from_scans_alone, safety_settings
 from triform.simulation import IDEAL, Drive, Footprint, Mounting, Placement, Profile, get_profile, read_sectors
-from triform.types import SENSING_RANGE, Controller, MapConfig, ScanConfig, TriformError, View, require
+from triform.types import SENSING_RANGE, Controller, MapConfig, ScanConfig, View, require
 from triform_ros.parameters import Parameter
 
 #: A robot without a profile: the ideal one, whose scans may be 0.2 s late.
@@ -185,13 +184,7 @@ class Settings:
         name, weights = self.given["controller"], self.given["weights"]
         spec = ControllerSpec.parse(f"{name}:{weights}" if weights else name)
         controller = make_controller(spec, self.given["distance"], footprint=self.robot.footprint.size)
-        if controller.privileged:
-            raise TriformError(
-                f"the controller {name!r} needs everybody's true pose, which no robot knows; "
-                "policy, scan-pipeline and scan-triangulating need nothing but scans"
-            )
-        threshold = self.robot.lidar.min_intensity
-        return controller if threshold is None else IntensityThreshold(controller, threshold)
+        return from_scans_alone(controller, name, self.robot.lidar.min_intensity)
 
     def seen(self, view: View) -> View:
         """Return what the controller sees of a view: with ``min_intensity``, no dim returns."""

@@ -14,7 +14,7 @@ from triform.control.registry import (
     shipped_weights,
     weights_folder,
 )
-from triform.control.safety import SafetyFilter, SafetySettings, reaction_time, rolling_arcs
+from triform.control.safety import SafetyFilter, SafetySettings, limit_by_scans, reaction_time, rolling_arcs
 from triform.control.scan_pipeline import ScanPipeline
 from triform.control.sight import Sight, has_sight
 from triform.control.teacher import Teacher
@@ -45,6 +45,7 @@ __all__ = [
     "expert_into",
     "expert_variant",
     "has_sight",
+    "limit_by_scans",
     "make_controller",
     "reaction_time",
     "rolling_arcs",

@@ -40,7 +40,7 @@ from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint, ray_
 from triform.control.safety_kernels import Arcs, SafetyRules, filter_robots, filter_rolling
 from triform.geometry.unicycle import Wheels
 from triform.threads import in_parts
-from triform.types import Controller, FloatArray, ViewIn, convert_fields, require
+from triform.types import Controller, FloatArray, View, ViewIn, convert_fields, require
 
 #: Robots whose scans keep a thread busy for a few milliseconds.
 ROBOTS_PER_THREAD = 4000
@@ -160,36 +160,50 @@ class SafetyFilter(Generic[ViewIn]):
         return self.limit(view, self._controller.command(view))
 
     def limit(self, view: ViewIn, wanted: FloatArray) -> FloatArray:
-        """Return body twists that are wanted, as limited by what robots see, shape (B, N, 3)."""
-        guard, arcs, config = self._guard, self._guard.arcs, view.scans.config
-        commands = np.array(wanted, dtype=np.float64, order="C")
-        ranges = np.ascontiguousarray(view.scans.ranges).reshape(-1, config.rays)
-        active = np.ascontiguousarray(view.active).reshape(-1)
-        resting = np.zeros((len(active), 3)) if view.odometry is None else view.odometry.reshape(-1, 3)
-        body = kernel_footprint(guard.footprint)
-        circumradius = body.half_length if body.is_circle else math.hypot(body.half_length, body.half_width)
-        law = SafetyRules(
-            ray_directions(view.scans),
-            config.range_min,
-            config.range_max,
-            body,
-            circumradius,
-            guard.rate,
-            guard.min_gap if arcs is None else guard.min_gap + circumradius - min(body.half_length, body.half_width),
-            guard.max_speed,
-            guard.max_axis_speed,
-        )
-        early = view.time < guard.reaction
-        flat = commands.reshape(-1, 3)
+        """Return body twists (B, N, 3) that another controller wants, as this filter limits them."""
+        return limit_by_scans(view, wanted, self._guard)
 
-        def limit(first: int, last: int) -> None:
-            if arcs is None:
-                filter_robots(ranges, active, law, early, flat, first, last)
-            else:
-                filter_rolling(ranges, active, law, arcs, early, resting, flat, first, last)
 
-        in_parts(limit, len(flat), len(flat), ROBOTS_PER_THREAD)
-        return commands
+def limit_by_scans(view: View, wanted: FloatArray, guard: SafetySettings) -> FloatArray:
+    """Return body twists as limited by what each robot's own scan shows.
+
+    Args:
+        view: What robots sense.
+        wanted: Body twists, shape (B, N, 3) [m/s, m/s, rad/s].
+        guard: Settings of the filter.
+
+    Returns:
+        Body twists, shape (B, N, 3).
+    """
+    arcs, config = guard.arcs, view.scans.config
+    commands = np.array(wanted, dtype=np.float64, order="C")
+    ranges = np.ascontiguousarray(view.scans.ranges).reshape(-1, config.rays)
+    active = np.ascontiguousarray(view.active).reshape(-1)
+    resting = np.zeros((len(active), 3)) if view.odometry is None else view.odometry.reshape(-1, 3)
+    body = kernel_footprint(guard.footprint)
+    circumradius = body.half_length if body.is_circle else math.hypot(body.half_length, body.half_width)
+    law = SafetyRules(
+        ray_directions(view.scans),
+        config.range_min,
+        config.range_max,
+        body,
+        circumradius,
+        guard.rate,
+        guard.min_gap if arcs is None else guard.min_gap + circumradius - min(body.half_length, body.half_width),
+        guard.max_speed,
+        guard.max_axis_speed,
+    )
+    early = view.time < guard.reaction
+    flat = commands.reshape(-1, 3)
+
+    def limit(first: int, last: int) -> None:
+        if arcs is None:
+            filter_robots(ranges, active, law, early, flat, first, last)
+        else:
+            filter_rolling(ranges, active, law, arcs, early, resting, flat, first, last)
+
+    in_parts(limit, len(flat), len(flat), ROBOTS_PER_THREAD)
+    return commands
 
 
 def _finite(value: Any) -> Any:

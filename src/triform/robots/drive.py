@@ -16,7 +16,6 @@ import numpy as np
 from triform.control import (
     POLICY,
     ControllerSpec,
-    IntensityThreshold,
     LearnedPolicy,
     SafetyFilter,
     SafetySettings,
@@ -27,7 +26,7 @@ from triform.control import (
 )
 from triform.control.detection import detect_robots, kernel_footprint
 from triform.policy import PolicyRuntime
-from triform.robots.filter import safety_settings
+from triform.robots.filter import from_scans_alone, safety_settings
 from triform.robots.latency import Budget
 from triform.robots.ldrobot import LARGEST_INTENSITY, LidarModel, LidarPort, get_model
 from triform.robots.real import RealRobot, Step
@@ -228,13 +227,7 @@ class DriveConfig:
             controller = LearnedPolicy(runtime, self.distance, clock)
         else:
             controller = make_controller(self.controller, self.distance, footprint=self.outline)
-        if controller.privileged:
-            raise TriformError(
-                f"the controller {self.controller.label!r} needs everybody's true pose, which no real robot knows; "
-                "policy, scan-pipeline and scan-triangulating need nothing but scans"
-            )
-        if self.threshold is not None:
-            controller = IntensityThreshold(controller, self.threshold)
+        controller = from_scans_alone(controller, self.controller.label, self.threshold)
         if not self.guard:
             return controller
         lidar = replace(self.kind.lidar, period=self.model.period, rolling=True)

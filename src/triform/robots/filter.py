@@ -1,11 +1,12 @@
-"""The safety filter of a robot, from its profile: one law for simulated, emulated and real robots."""
+"""What stands between the controller of a robot, its scans and its wheels: one rule for all robots."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from triform.control import SafetySettings, reaction_time, rolling_arcs
+from triform.control import IntensityThreshold, SafetySettings, reaction_time, rolling_arcs
 from triform.simulation import Profile
+from triform.types import Controller, TriformError, View
 
 
 def safety_settings(robot: Profile, reaction: float | None = None) -> SafetySettings:
@@ -28,3 +29,23 @@ def safety_settings(robot: Profile, reaction: float | None = None) -> SafetySett
         return settings
     arcs = rolling_arcs(drive.wheels, period, drive.turning_lag, 0.0 if robot.odometry else reaction)
     return replace(settings, arcs=arcs)
+
+
+def from_scans_alone(controller: Controller[View], label: str, min_intensity: float | None) -> Controller[View]:
+    """Return a controller as a real robot runs it, which has nothing but scans.
+
+    Args:
+        controller: Any controller.
+        label: What it is called in the error.
+        min_intensity: Intensity from which a return is of a robot; ``None`` if all returns count.
+
+    Raises:
+        TriformError: It needs true poses.
+        ConfigurationError: The threshold is negative or not finite.
+    """
+    if controller.privileged:
+        raise TriformError(
+            f"the controller {label!r} needs everybody's true pose, which no real robot knows; "
+            "policy, scan-pipeline and scan-triangulating need nothing but scans"
+        )
+    return controller if min_intensity is None else IntensityThreshold(controller, min_intensity)
