@@ -26,7 +26,7 @@ from triform_ros.conversions import fill_twist, laser_scan, map_message, pose_of
 
 #: A repeated message is shown this often at most [s].
 _THROTTLE = 5.0
-#: Who listens to commands is looked up once in this time [s], and so many times before the robot complains of nobody.
+#: Subscribers of commands are counted once in this time [s], and this many times before the robot warns of having none.
 _LISTENERS_PERIOD, _PATIENT_CHECKS = 1.0, 10
 #: How long the last command may take to be acknowledged [s].
 _LAST_COMMAND = 1.0
@@ -203,7 +203,7 @@ class TwistTopic:
         self._publisher.publish(message)
 
     def _count_listeners(self) -> None:
-        """Count who takes the commands, and warn once if nobody does."""
+        """Count the subscribers of the commands, and warn once if there is none."""
         topic, own = self._publisher.topic_name, f"geometry_msgs/msg/{self._publisher.msg_type.__name__}"
         types = [each.topic_type for each in self._node.get_subscriptions_info_by_topic(topic)]
         self.listeners = types.count(own)

@@ -21,7 +21,7 @@ class Moment:
         poses: True poses, shape (N, 3) [m, m, rad].
         twists: Body twists, shape (N, 3) [m/s, m/s, rad/s].
         ranges: What every LiDAR, from where it is mounted, has measured in its newest turn, shape (N, R) [m].
-        intensities: How bright these returns are, shape (N, R); ``None`` if nobody needs to know.
+        intensities: How bright these returns are, shape (N, R); ``None`` if they are not asked for.
         began: When that turn began [s]; of a LiDAR that measures all rays at once, when it ended.
         collided: Whether two robots have touched or overlapped, in this period or so far.
     """

@@ -115,7 +115,7 @@ class RealRobot:
     Attributes:
         control_period: Time between two commands [s].
         late_ticks: Commands that came after their control period had ended.
-        standing: Why the robot stands still whatever its controller says; empty if it does as it is told.
+        standing: Why the robot stands still whatever its controller says; empty while it obeys its controller.
     """
 
     def __init__(
@@ -228,7 +228,7 @@ class RealRobot:
         time.sleep(max(0.0, self._due - time.monotonic()))
 
     def _reason_to_stand(self, old: bool, placed: bool) -> str:
-        """Return why the robot stands still, and warn when it begins to; empty if it does as it is told."""
+        """Return why the robot stands still, and warn when it begins to; empty while the robot obeys its controller."""
         if placed:
             self._placed = self._seen
         reason, patience = "", 0.0

@@ -1,4 +1,4 @@
-"""What robots make up a team: robots of one profile, or so many of each of several."""
+"""The robots of a team: all of one profile, or a number of each of several."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Composition:
         return self.robots
 
     def slices(self, robots: int) -> list[slice]:
-        """Return which robots of a team of so many each kind has; the last kind has those that joined.
+        """Return which robots of a team each kind has; the last kind has those that joined.
 
         Raises:
             ConfigurationError: The composition has more robots.
@@ -133,7 +133,7 @@ class Composition:
         return [slice(first, last) for first, last in zip([0, *ends], ends, strict=False)]
 
     def outlines(self, robots: int) -> Footprint | tuple[Footprint, ...]:
-        """Return the outline of all robots, or of several kinds that of each robot of a team of so many."""
+        """Return the outline of all robots, or in a team of several kinds that of each robot."""
         if not self.is_mixed:
             return self.profiles[0].footprint
         slices = self.slices(robots)

@@ -65,7 +65,7 @@ def cast_scans(
     Args:
         poses: World-frame poses, shape (B, N, 3) [m, m, rad].
         active: Which robots exist, shape (B, N); the others are not seen and see nothing.
-        footprint: Outline of all robots, or of each; nobody sees its own.
+        footprint: Outline of all robots, or of each; no robot sees its own.
         arena: Walls and pillars.
         config: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, M, R) [rad].

@@ -177,8 +177,8 @@ def cast_moving(
         offsets: Error of every ray's angle, shape (M, R) [rad], or (M, 0) for none.
         due: ``DueRays``.
         out: Ranges of the M robots that cast, shape (M, R); only the rays cast and only active robots are written [m].
-        hits: What these rays hit, shape (M, R), or (M, 0) if nobody asks: the index of a wall, the number of walls plus
-            that of a pillar, the number of both for any robot, and ``HIT_NOTHING``.
+        hits: What these rays hit, shape (M, R), or (M, 0) if not asked for: the index of a wall, the number of walls
+            plus that of a pillar, the number of both for any robot, and ``HIT_NOTHING``.
     """
     robots = start.shape[0]
     increment = 2 * math.pi / out.shape[1]

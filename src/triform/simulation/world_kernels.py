@@ -66,7 +66,7 @@ class LidarTurn(NamedTuple):
         scan: Rays and limits of range.
         offsets: Errors of the rays' angles, shape (B, M, R) [rad], or (B, M, 0) for none.
         ranges: The turn, shape (B, M, R) [m].
-        hits: What its rays hit, see ``cast_moving``, shape (B, M, R), or (B, M, 0) if nobody asks.
+        hits: What its rays hit, see ``cast_moving``, shape (B, M, R), or (B, M, 0) if not asked for.
     """
 
     robot: int
