@@ -31,6 +31,8 @@ class Train:
         rounds: Shares of the training after which the learner itself drives teams. The preset's if omitted.
         learning_rate: Peak learning rate. The preset's if omitted.
         seed: Seed of weights and data. The preset's if omitted.
+        start: Weights to begin from instead of random ones: a shipped policy's name or a folder, with the preset's
+            network. Its map may see less far.
         precision: Arithmetic of matrix products: ``float32``, ``medium`` (whichever float32 PyTorch computes fastest)
             or ``bfloat16``. The preset's if omitted.
         device: PyTorch device, such as ``cpu`` or ``cuda``.
@@ -40,7 +42,7 @@ class Train:
     """
 
     out: Path
-    preset: Literal["default", "quick", "springs", "large", "paper", "cnn", "gnn", "dense"] = "default"
+    preset: Literal["default", "near", "quick", "springs", "large", "paper", "cnn", "gnn", "dense"] = "default"
     profile: str | None = None
     data: Path | None = None
     maps: int | None = None
@@ -48,6 +50,7 @@ class Train:
     rounds: tuple[float, ...] | None = None
     learning_rate: float | None = None
     seed: int | None = None
+    start: str | None = None
     precision: Literal["float32", "medium", "bfloat16"] | None = None
     device: str = "cpu"
     threads: int = 1
@@ -55,7 +58,7 @@ class Train:
     resume: bool = False
 
     GROUPS: ClassVar[dict[str, tuple[str, ...]]] = {
-        "recipe": ("maps", "teacher", "rounds", "learning_rate", "seed", "precision"),
+        "recipe": ("maps", "teacher", "rounds", "learning_rate", "seed", "start", "precision"),
         "machine": ("device", "threads", "producers"),
     }
 
@@ -79,7 +82,7 @@ class Train:
             console = Console(quiet=True)
         torch.set_num_threads(self.threads)
         preset = PRESETS[self.preset]
-        given = given_options(self, "maps", "teacher", "rounds", "learning_rate", "seed", "precision")
+        given = given_options(self, "maps", "teacher", "rounds", "learning_rate", "seed", "start", "precision")
         if self.data is not None and self.teacher is None and preset.scenes is None:
             given["teacher"] = load_manifest(self.data).config.teacher
         config = replace(preset, **given)

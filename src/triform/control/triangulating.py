@@ -40,6 +40,8 @@ class TriangulatingLaw:
         compaction_speed: Towards the centre of all in sight while edges near by are loose.
         loose_length: Length from which an edge is loose.
         loose_width: Over which looseness grows from 0 to 1.
+        squeeze_limit: Compression of its shortest edge at which the compaction of a robot begins to fade.
+        squeeze_width: Over which it fades to nothing.
         bridge_pull: Towards the others in sight while the robot has a bridge.
         bridge_push: Amplitude of the exploration noise while the robot has a bridge.
         strain_push: Amplitude of the exploration noise while an edge is too long or too short.
@@ -47,21 +49,23 @@ class TriangulatingLaw:
         strain_width: Over which it grows to its full amplitude.
     """
 
-    sight: float = 2.1
+    sight: float = 3.0
     contact_gain: float = 8.0
     contact_range: float = 0.7
-    gain: float = 2.2
+    gain: float = 3.0
     yield_strain: float = 0.065
     yield_slope: float = 0.26
     far_range: float = 1.28
     far_gain: float = 1.4
     odd_gain: float = 1.6
-    compaction_speed: float = 0.35
+    compaction_speed: float = 0.5
     loose_length: float = 1.14
     loose_width: float = 0.1
+    squeeze_limit: float = 0.08
+    squeeze_width: float = 0.08
     bridge_pull: float = 0.35
     bridge_push: float = 0.3
-    strain_push: float = 0.33
+    strain_push: float = 0.3
     strain_limit: float = 0.09
     strain_width: float = 0.03
 
@@ -70,7 +74,7 @@ class TriangulatingLaw:
         for each in fields(self):
             value = getattr(self, each.name)
             require(0 <= value < np.inf, f"{each.name} of the law is {value}; it must be finite and not negative")
-        for name in ("sight", "loose_width", "strain_width"):
+        for name in ("sight", "loose_width", "squeeze_width", "strain_width"):
             require(getattr(self, name) > 0, f"{name} of the law is {getattr(self, name)}; it must be positive")
 
     @property

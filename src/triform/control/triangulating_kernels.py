@@ -18,8 +18,8 @@ LAW_FEATURES = 5
 LAW_EDGE_FEATURES = 4
 #: Steps of the search for the centre of the smallest circle around all; its error falls as one over their number.
 _CIRCLE_STEPS = 25
-#: Edges count as loose if both ends are within this distance of the robot.
-_LOOSE_REACH = 1.5
+#: Edges count as loose if both ends are nearer than sight by this much: who might stand between them is then in sight.
+_LOOSE_MARGIN = 0.7
 
 
 class LawConstants(NamedTuple):
@@ -37,6 +37,8 @@ class LawConstants(NamedTuple):
     compaction_speed: float
     loose_length: float
     loose_width: float
+    squeeze_limit: float
+    squeeze_width: float
     bridge_pull: float
     bridge_push: float
     strain_push: float
@@ -96,14 +98,14 @@ def _link(x, y, count, sight, linked):
 
 
 @kernel
-def _looseness(x, y, radius, count, linked, loose_length, loose_width):
-    """How far the longest edge near the robot exceeds ``loose_length``, from 0 to 1 over ``loose_width``."""
+def _looseness(x, y, radius, count, linked, reach, loose_length, loose_width):
+    """How far the longest edge within ``reach`` of the robot exceeds ``loose_length``, from 0 to 1 over ``loose_width``."""
     loose = 0.0
     for a in range(count):
-        if radius[a] > _LOOSE_REACH:
+        if radius[a] > reach:
             continue
         for b in range(a):
-            if linked[a, b] and radius[b] <= _LOOSE_REACH:
+            if linked[a, b] and radius[b] <= reach:
                 length = np.sqrt((x[a] - x[b]) ** 2 + (y[a] - y[b]) ** 2)
                 loose = max(loose, min(1.0, (length - loose_length) / loose_width))
     return loose
@@ -145,7 +147,7 @@ def triangulate(count, law, workspace):
     radius = np.empty(count)
     for k in range(count):
         radius[k] = np.sqrt(x[k] * x[k] + y[k] * y[k])
-    v_x = v_y = away_x = away_y = largest = 0.0
+    v_x = v_y = away_x = away_y = largest = smallest = 0.0
     bridge = False
     for j in range(1, count):
         if radius[j] == 0.0:
@@ -174,6 +176,7 @@ def triangulate(count, law, workspace):
                 along += law.far_gain * (radius[j] - law.far_range)
             across = law.odd_gain * strain
             largest = max(largest, abs(strain))
+            smallest = min(smallest, strain)
         else:
             if strain < 0.0:
                 along += law.gain * strain
@@ -186,7 +189,9 @@ def triangulate(count, law, workspace):
         v_x += edge_features[j, 0]
         v_y += edge_features[j, 1]
     strained = max(0.0, min(1.0, (largest - law.strain_limit) / law.strain_width))
-    loose = _looseness(x, y, radius, count, linked, law.loose_length, law.loose_width)
+    loose = _looseness(x, y, radius, count, linked, law.sight - _LOOSE_MARGIN, law.loose_length, law.loose_width)
+    # A robot that its neighbours squeeze has no room to go to: it leaves compaction to those with room.
+    loose *= 1.0 - max(0.0, min(1.0, (-smallest - law.squeeze_limit) / law.squeeze_width))
     features[0], features[1], features[2] = 1.0 if bridge else 0.0, strained, loose
     if loose > 0.0:
         c_x, c_y = _circle_centre(x, y, count)

@@ -7,7 +7,7 @@ at random; sensor, footprint, walls and pillars are drawn anew for every state.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +24,9 @@ from triform.simulation.ray_kernels import Scene
 from triform.types import Body, FloatArray, IntArray, MapArray, MapConfig, ScanConfig, convert_fields, require
 
 #: Robots that a view tells of, at most; any others are left out.
-SEEN = 24
-#: Robots farther than this from the one that looks do not matter [d*].
-_REACH = 2.8
+SEEN = 40
+#: Robots whose centres are farther than this beyond the range of the LiDAR show nothing and hide nobody [d*].
+_BEYOND_RANGE = 0.8
 _ATTEMPTS = 10_000
 
 
@@ -41,6 +41,9 @@ class SceneConfig:
         distances: Least and largest d* that a policy is meant for [m]; half of the states have 1 m.
         footprint: Usual outline of the robots.
         usual: Share of states whose robots have that outline; the others are boxes and circles.
+        diameters: Least and largest diameter of these circles, and length of these boxes [m].
+        rays: Numbers of rays of a LiDAR, one of which is drawn each time that views are drawn; those of the policy's
+            scan if empty.
         noisy: Share of states whose ranges are noisy.
         noise: Largest standard deviation of their noise [m].
         dropping: Share of states in which rays are lost.
@@ -56,7 +59,9 @@ class SceneConfig:
     jitter: tuple[float, ...] = (0.0, 0.0, 0.005, 0.015, 0.03, 0.06)
     distances: tuple[float, float] = (0.6, 1.5)
     footprint: Footprint = ROBOMASTER_EP
-    usual: float = 0.7
+    usual: float = 0.6
+    diameters: tuple[float, float] = (0.1, 0.52)
+    rays: tuple[int, ...] = ()
     noisy: float = 0.4
     noise: float = 0.03
     dropping: float = 0.25
@@ -84,6 +89,11 @@ class SceneConfig:
             f"distances of scenes are {self.distances}; they must hold 1 m between them",
         )
         require(0 <= self.noise < np.inf, f"noise of scenes is {self.noise} m; it must be finite and not negative")
+        require(
+            0 < self.diameters[0] <= self.diameters[1] < np.inf,
+            f"diameters of scenes are {self.diameters}; a least and a largest one, positive and finite, are needed",
+        )
+        require(min(self.rays, default=1) >= 1, f"rays of scenes are {self.rays}; each must be at least 1")
         require(self.views >= 1, f"views of scenes is {self.views}; at least 1 is needed")
         require(self.max_speed > 0, f"max_speed of scenes is {self.max_speed}; it must be positive")
 
@@ -115,6 +125,7 @@ class SceneDraws(NamedTuple):
     jitter: FloatArray
     distances: tuple[float, float]
     usual: float
+    diameters: tuple[float, float]
     outline: Body
     noisy: float
     noise: float
@@ -176,13 +187,9 @@ def draw_body(rng, draws):
         distance = distances[0] * (distances[1] / distances[0]) ** rng.random()
     half_length, half_width, round_ = outline.half_length, outline.half_width, outline.is_circle
     if rng.random() >= draws.usual:
-        if rng.random() < 0.5:
-            half_length = half_width = 0.05 + 0.15 * rng.random()
-            round_ = True
-        else:
-            half_length = 0.10 + 0.12 * rng.random()
-            half_width = half_length * (0.6 + 0.4 * rng.random())
-            round_ = False
+        round_ = rng.random() < 0.5
+        half_length = (draws.diameters[0] + (draws.diameters[1] - draws.diameters[0]) * rng.random()) / 2.0
+        half_width = half_length if round_ else half_length * (0.6 + 0.4 * rng.random())
     return distance, Body(half_length / distance, half_width / distance, round_)
 
 
@@ -259,14 +266,14 @@ def _draw_pillar(rng, positions, pillar):
 
 
 @kernel
-def label_robot(positions, i, heading, law, blocking, max_speed, workspace, command, seen):
+def label_robot(positions, i, heading, law, blocking, reach, max_speed, workspace, command, seen):
     """Write what the law does for robot i and what it sees, in its body frame; arguments as ``Views`` has them.
 
-    The features of the robot are those of the workspace afterwards.
+    ``reach`` is the range of its LiDAR [d*]. The features of the robot are those of the workspace afterwards.
     """
     x, y, all_x, all_y = workspace.x, workspace.y, workspace.all_x, workspace.all_y
     # A robot is seen as long as its near side is within range.
-    sight = min(law.sight, 2.0 + 0.7 * blocking)
+    sight = min(law.sight, reach + 0.7 * blocking)
     cos, sin = np.cos(heading), np.sin(heading)
     all_x[0] = all_y[0] = x[0] = y[0] = 0.0
     near = 1
@@ -307,6 +314,7 @@ def _draw_views(rng, visited, draws, law, scan, rules, maps, commands, seen, fea
     at_rest = np.zeros(3)
     map_memory = map_workspace(size)
     cells = map_memory.cells
+    farthest = scan.range_max + _BEYOND_RANGE
     m = 0
     while m < maps.shape[0]:
         robots = draw_positions(rng, visited, draws, team)
@@ -331,7 +339,7 @@ def _draw_views(rng, visited, draws, law, scan, rules, maps, commands, seen, fea
             poses[0, 0], poses[0, 1] = positions[i, 0], positions[i, 1]
             for j in range(robots):
                 d_x, d_y = positions[j, 0] - positions[i, 0], positions[j, 1] - positions[i, 1]
-                if j != i and d_x * d_x + d_y * d_y < _REACH * _REACH:
+                if j != i and d_x * d_x + d_y * d_y < farthest * farthest:
                     poses[near, 0], poses[near, 1] = positions[j, 0], positions[j, 1]
                     near += 1
             for k in range(near):
@@ -347,7 +355,10 @@ def _draw_views(rng, visited, draws, law, scan, rules, maps, commands, seen, fea
             kept = occupied_into(ranges, at_rest, cos_rays, sin_rays, rules, map_memory)
             for q in range(kept):
                 maps[m, cells[q] // size, cells[q] % size] = 1
-            label_robot(poses[:near], 0, poses[0, 2], law, blocking, draws.max_speed, workspace, commands[m], seen[m])
+            label_robot(
+                poses[:near], 0, poses[0, 2], law, blocking, scan.range_max, draws.max_speed, workspace, commands[m],
+                seen[m],
+            )  # fmt: skip
             features[m] = workspace.features
             m += 1
 
@@ -373,6 +384,8 @@ def draw_views(
         map_config: The occupancy map, lengths in units of d*.
     """
     size = map_config.size
+    if config.rays:
+        scan = replace(scan, rays=int(rng.choice(np.array(config.rays))))
     out = Views(
         np.zeros((maps, size, size), dtype=np.uint8),
         np.empty((maps, 4)),

@@ -103,7 +103,7 @@ def _draw_states(rng, robots, visited, draws, poses, offsets, blocking):
 
 @kernel
 def _label_states(
-    poses, offsets, blocking, law, max_speed, receivers, senders, commands, edge_features, seen, features
+    poses, offsets, blocking, law, reach, max_speed, receivers, senders, commands, edge_features, seen, features
 ):
     """Fill ``commands``, ``edge_features``, ``seen`` and ``features`` of ``TeamLabels``; other arguments as there."""
     longest = 1
@@ -117,7 +117,7 @@ def _label_states(
         team = poses[first : offsets[t + 1]]
         for i in range(team.shape[0]):
             own = first + i
-            label_robot(team, i, team[i, 2], law, blocking[t], max_speed, workspace, commands[own], around)
+            label_robot(team, i, team[i, 2], law, blocking[t], reach, max_speed, workspace, commands[own], around)
             features[own] = workspace.features
             cos, sin = np.cos(team[i, 2]), np.sin(team[i, 2])
             # Both lists name robots in growing order.
@@ -154,13 +154,16 @@ def draw_states(rng: np.random.Generator, robots: int, config: SceneConfig, visi
     return TeamStates(poses[: offsets[teams]], offsets[: teams + 1], blocking[:teams])
 
 
-def label_states(states: TeamStates, graph: RadiusGraph, law: TriangulatingLaw, max_speed: float) -> TeamLabels:
+def label_states(
+    states: TeamStates, graph: RadiusGraph, law: TriangulatingLaw, reach: float, max_speed: float
+) -> TeamLabels:
     """Label every robot.
 
     Args:
         states: Where they stand.
         graph: Who hears whom there.
         law: What labels them.
+        reach: How far the LiDAR of a robot reaches [d*].
         max_speed: Longer mean velocities are scaled to this [d*/s].
     """
     robots, edges = len(states.poses), len(graph.receivers)
@@ -169,7 +172,7 @@ def label_states(states: TeamStates, graph: RadiusGraph, law: TriangulatingLaw, 
         np.empty((robots, 4)), np.empty((edges, LAW_EDGE_FEATURES)), seen, np.empty((robots, LAW_FEATURES))
     )
     _label_states(
-        states.poses, states.offsets, states.blocking, law.constants, max_speed, graph.receivers, graph.senders,
+        states.poses, states.offsets, states.blocking, law.constants, reach, max_speed, graph.receivers, graph.senders,
         out.commands, out.edge_features, out.seen, out.features,
     )  # fmt: skip
     return out

@@ -297,7 +297,7 @@ class TeamSource(SceneSource):
         first, last = processes.share(len(whole))
         states = whole.part(first, last)
         graph = states.graph(self._reach)
-        labels = label_states(states, graph, config.law, self._scenes.max_speed)
+        labels = label_states(states, graph, config.law, config.scan.range_max, self._scenes.max_speed)
         targets, valid = edge_targets(labels)
         meant = min(config.batch_maps - int(whole.offsets[first]), len(states.poses))
         commands, features = (values[:meant].astype(np.float32) for values in (labels.commands, labels.features))

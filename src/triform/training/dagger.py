@@ -25,7 +25,7 @@ from triform.policy.weights import save_policy
 from triform.simulation import World, get_profile, sample_starts
 from triform.training.presets import TrainConfig
 from triform.training.processes import Processes
-from triform.types import Controller, FloatArray, PrivilegedView
+from triform.types import SENSING_RANGE, Controller, FloatArray, PrivilegedView
 
 #: Time between two recorded states [s].
 _PERIOD = 0.5
@@ -59,16 +59,22 @@ TEACHER_ROLLOUTS = tuple(
     for each in (
         (2, 10, 10), (3, 30, 15), (4, 60, 20), (5, 100, 25), (6, 100, 30), (7, 150, 40), (8, 150, 40), (9, 200, 40),
         (10, 150, 40), (11, 150, 40), (13, 150, 40), (16, 60, 50), (20, 50, 60), (25, 40, 90), (35, 16, 120),
-        (50, 10, 120),
+        (50, 10, 120), (100, 4, 150),
     )
 )  # fmt: skip
 _DISTURBANCES = (0.0, 0.02, 0.05)
 #: Where the learner goes in each of its rounds.
 LEARNER_ROLLOUTS = (
-    Rollouts(4, 30, 40, "hardware"),
-    Rollouts(6, 30, 40, "hardware"),
-    *(Rollouts(*each) for each in ((5, 60, 30), (7, 70, 40), (9, 80, 40), (11, 60, 40), (13, 60, 40), (25, 12, 80))),
-)
+    *(Rollouts(robots, 20, 40, "hardware") for robots in (4, 7, 9)),
+    *(Rollouts(robots, 20, 40, "turtlebot4") for robots in (5, 9, 13)),
+    *(Rollouts(robots, 15, 50, "turtlebot3-burger") for robots in (6, 10)),
+    *(
+        Rollouts(*each)
+        for each in (
+            (3, 20, 15), (5, 60, 20), (7, 60, 25), (9, 70, 25), (11, 60, 25), (13, 60, 25), (25, 12, 60), (50, 4, 90),
+        )
+    ),
+)  # fmt: skip
 
 
 class _Disturbed:
@@ -118,7 +124,8 @@ def learner_states(
             controller = GnnController(GnnRuntime(Path(folder)))
         else:
             controller = LearnedPolicy(PolicyRuntime(Path(folder)))
-        return joined([_driven(controller, each, (seed, len(_DISTURBANCES) + number)) for each in rollouts])
+        stream = (seed, len(_DISTURBANCES) + number)
+        return joined([_driven(controller, each, stream, spec.scan.range_max) for each in rollouts])
 
 
 def collect_states(
@@ -149,9 +156,14 @@ def collect_states(
     return joined([StateBuffer.load(file) for file in files])
 
 
-def _driven(controller: Controller[PrivilegedView], rollouts: Rollouts, stream: tuple[int, int]) -> StateBuffer:
-    """States of the runs of one rollouts."""
-    profile = get_profile(rollouts.profile)
+def _driven(
+    controller: Controller[PrivilegedView],
+    rollouts: Rollouts,
+    stream: tuple[int, int],
+    reach: float = SENSING_RANGE,
+) -> StateBuffer:
+    """States of the runs of one rollouts, whose robots have LiDARs that reach so far [m]."""
+    profile = get_profile(rollouts.profile).seeing(reach)
     seed = int(np.random.SeedSequence([*stream, _STARTS]).generate_state(1, np.uint64)[0])
     seeds = np.random.SeedSequence([*stream, _WORLDS, rollouts.robots]).spawn(rollouts.runs)
     world = World(sample_starts(rollouts.robots, rollouts.runs, seed), profile, seeds=seeds)

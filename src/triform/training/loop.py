@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from triform.control import weights_folder
 from triform.control.triangulating_kernels import LAW_FEATURES
 from triform.files import exclusive, make_folder, write_atomically
 from triform.policy import describe_network
@@ -28,6 +29,7 @@ from triform.training.precision import matrix_products, reduced
 from triform.training.prefetch import Prefetched
 from triform.training.presets import TrainConfig
 from triform.training.processes import Processes, joined, local_device
+from triform.training.start import begin_from
 from triform.training.state import load_state
 from triform.types import TriformError, require
 
@@ -174,7 +176,10 @@ def train(
             _check_same_run(out, config, source.checksum, resume)
         processes.wait()
         torch.manual_seed(config.seed)
-        learner = Learner(config).to(target)
+        learner = Learner(config)
+        if config.start is not None:
+            begin_from(weights_folder(config.start), learner.policy, config.map)
+        learner.to(target)
         parameters = FlatParameters(learner)
         optimizer = make_optimizer(config, parameters)
         record: dict[str, Any] = {"step": 0, "maps": 0, "loss": math.nan, "best": math.inf}

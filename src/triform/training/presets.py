@@ -44,6 +44,7 @@ class TrainConfig:
         distance: Prescribed neighbour distance d* [m].
         teacher: Who labels the demonstrations.
         seed: Seed of weights and data.
+        start: Weights to begin from: a shipped policy's name or a folder; random ones if ``None``.
         precision: Arithmetic of matrix products: ``float32`` is PyTorch's default, ``medium`` lets PyTorch choose a
             faster kind of float32 (see ``precision.py``), ``bfloat16`` also rounds what enters them. Weights, sums and
             losses are float32 throughout.
@@ -73,6 +74,7 @@ class TrainConfig:
     distance: float = 1.0
     teacher: str = "expert-odd"
     seed: int = 1
+    start: str | None = None
     precision: Precision = "medium"
     states: StateConfig = field(default_factory=StateConfig)
     scenes: SceneConfig | None = None
@@ -174,20 +176,31 @@ class TrainConfig:
 #: The policy that learns the triangulating law.
 _DEFAULT = TrainConfig(
     "default",
-    NetworkConfig(dim=96, depth=3, heads=4, mlp=192, outputs=4),
+    NetworkConfig(map_size=160, dim=96, depth=3, heads=4, mlp=192, outputs=4),
     maps=9_000_000,
     learning_rate=2.5e-3,
     warmup=500,
     teacher="triangulating",
-    scenes=SceneConfig(),
-    rounds=(0.2, 0.4, 0.6, 0.8),
+    scenes=SceneConfig(rays=(360, 450, 667)),
+    rounds=(0.05, 0.35, 0.65),
     rest_speed=0.015,
     least_push=0.07,
     search_push=0.5,
+    scan=ScanConfig(rays=360, range_max=3.0),
+    map=MapConfig(size=160),
 )
 
 PRESETS = {
     "default": _DEFAULT,
+    # The same with the range and the map of the paper.
+    "near": replace(
+        _DEFAULT,
+        preset="near",
+        network=replace(_DEFAULT.network, map_size=100),
+        law=replace(_DEFAULT.law, sight=2.1),
+        scan=replace(_DEFAULT.scan, range_max=2.0),
+        map=MapConfig(),
+    ),
     # The published method with a recipe that works: a small network that learns an expert of springs.
     "springs": TrainConfig("springs", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=5_000_000),
     # The same with the paper's network.
