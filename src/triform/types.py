@@ -37,6 +37,8 @@ MapArray = NDArray[np.uint8]
 
 #: Reach of the paper's LiDAR: how far one robot sees another [m], for a prescribed distance of 1 m.
 SENSING_RANGE = 2.0
+#: How far robots look where nothing else is said [d*]: what the triangulating law is tuned for.
+SIGHT = 3.0
 #: No robot is so far away, has come so far, or is noised so much [m].
 LARGEST = 1e6
 #: How long a robot holds its exploration noise before it draws anew [s].

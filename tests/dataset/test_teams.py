@@ -40,8 +40,8 @@ def test_without_visited_states_all_are_placements() -> None:
 
 
 def test_labels_are_what_the_law_commands() -> None:
-    law, states = TriangulatingLaw(), some_states(3)
-    labels = label_states(states, states.graph(REACH), law, 0.5)
+    law, states = TriangulatingLaw(sight=REACH), some_states(3)
+    labels = label_states(states, states.graph(REACH), law, 2.0, 0.5)
     for team in range(len(states)):
         alone = states.part(team, team + 1)
         # A wide robot is seen as long as its near side is within the LiDAR's range.
@@ -62,7 +62,7 @@ def test_terms_belong_to_their_edges() -> None:
     """What a robot sees of others adds up to its command where nothing else moves it."""
     states = some_states(4)
     graph = states.graph(REACH)
-    labels = label_states(states, graph, TriangulatingLaw(), np.inf)
+    labels = label_states(states, graph, TriangulatingLaw(sight=REACH), 2.0, np.inf)
     assert 0.3 < labels.seen.mean() < 1.0
     assert not labels.edge_features[~labels.seen].any()
     sums = np.zeros((graph.robots, 2))
@@ -81,9 +81,9 @@ def test_terms_belong_to_their_edges() -> None:
 
 
 def test_a_shorter_reach_leaves_out_edges_and_nothing_else() -> None:
-    states, law = some_states(5), TriangulatingLaw()
+    states, law = some_states(5), TriangulatingLaw(sight=REACH)
     far, near = states.graph(REACH), states.graph(1.2)
-    labels, fewer = label_states(states, far, law, 0.5), label_states(states, near, law, 0.5)
+    labels, fewer = label_states(states, far, law, 2.0, 0.5), label_states(states, near, law, 2.0, 0.5)
     np.testing.assert_array_equal(labels.commands, fewer.commands)
     kept = far.features[:, 2] <= np.float32(1.2)
     np.testing.assert_array_equal(labels.edge_features[kept], fewer.edge_features)

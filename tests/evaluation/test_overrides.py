@@ -41,7 +41,7 @@ def test_without_conditions_a_robot_is_its_profile(profile):
 def test_each_condition_replaces_its_own_value_and_no_other(profile, changes, distance):
     own = PROFILES[profile]
     robot = scenario(profile=profile, distance=distance, **changes).robot
-    assert robot.lidar.scan.range_max == 2 * distance
+    assert robot.lidar.scan.range_max == min(3 * distance, 8)
     assert robot.lidar.dropout == changes.get("dropout", own.lidar.dropout)
     assert robot.latency == changes.get("latency", own.latency)
     limits = {"max_speed": "speed_limit", "max_acceleration": "acceleration", "lag": "lag"}
@@ -103,7 +103,7 @@ def test_results_record_the_robot_as_it_was_run(tmp_path, listener):
     recorded = written["profile_description"]
     assert (recorded["footprint"]["length"], recorded["control_period"]) == (0.3, 0.05)
     assert recorded["lidar"]["noise"] == [{"up_to": None, "absolute": 0.01, "relative": 0.0}]
-    assert recorded["lidar"]["scan"]["range_max"] == 1.6
+    assert recorded["lidar"]["scan"]["range_max"] == pytest.approx(2.4)
     assert {name: written[name] for name in asdict(Overrides())} == {
         "range_noise": 0.01, "dropout": None, "scan_rate": 20.0, "latency": None, "speed_limit": None,
         "acceleration": None, "lag": None, "footprint": "circle-15", "odometry": True,

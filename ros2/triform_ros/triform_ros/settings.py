@@ -14,13 +14,14 @@ from triform.control import (
     SafetySettings,
     bright_returns,
     make_controller,
+    sight_of,
     weights_folder,
 )
 from triform.control.detection import kernel_footprint
 from triform.policy import read_spec
 from triform.robots.filter import from_scans_alone, safety_settings
 from triform.simulation import IDEAL, Drive, Footprint, Mounting, Placement, Profile, get_profile, read_sectors
-from triform.types import SENSING_RANGE, Controller, MapConfig, ScanConfig, View, require
+from triform.types import Controller, MapConfig, ScanConfig, View, require
 from triform_ros.parameters import Parameter
 
 #: A robot without a profile: the ideal one, whose scans may be 0.2 s late.
@@ -121,9 +122,15 @@ class Settings:
     def __post_init__(self) -> None:
         _ = self.robot, self.filter
 
+    @property
+    def spec(self) -> ControllerSpec:
+        """The controller."""
+        name, weights = self.given["controller"], self.given["weights"]
+        return ControllerSpec.parse(f"{name}:{weights}" if weights else name)
+
     @cached_property
     def robot(self) -> Profile:
-        """The robot, whose scans are as rich as the parameters want them, and reach 2 d*."""
+        """The robot, whose scans are as rich as the parameters want them, and reach as far as its controller looks."""
         given = self.given
         outline = given["footprint"]
         require(len(outline) in (1, 2), f"footprint has {len(outline)} numbers; length and width, or a diameter, do")
@@ -134,7 +141,7 @@ class Settings:
             **{name: given[name] for name in ("max_speed", "max_turn_rate", "lag", "track", "reverse")},
             **{name: given[name] or math.inf for name in ("max_axis_speed", "max_wheel_speed")},
         )
-        scan = replace(profile.lidar.scan, rays=given["rays"], range_max=SENSING_RANGE * given["distance"])
+        scan = replace(profile.lidar.scan, rays=given["rays"], range_max=sight_of(self.spec) * given["distance"])
         return replace(
             profile,
             footprint=Footprint.circle(*outline) if len(outline) == 1 else Footprint.box(*outline),
@@ -181,10 +188,8 @@ class Settings:
         Raises:
             TriformError: There is no such controller, it needs what no robot knows, or its weights cannot be used.
         """
-        name, weights = self.given["controller"], self.given["weights"]
-        spec = ControllerSpec.parse(f"{name}:{weights}" if weights else name)
-        controller = make_controller(spec, self.given["distance"], footprint=self.robot.footprint.size)
-        return from_scans_alone(controller, name, self.robot.lidar.min_intensity)
+        controller = make_controller(self.spec, self.given["distance"], footprint=self.robot.footprint.size)
+        return from_scans_alone(controller, self.given["controller"], self.robot.lidar.min_intensity)
 
     def seen(self, view: View) -> View:
         """Return what the controller sees of a view: with ``min_intensity``, no dim returns."""

@@ -12,6 +12,7 @@ from triform.control.registry import (
     ControllerSpec,
     make_controller,
     shipped_weights,
+    sight_of,
     weights_folder,
 )
 from triform.control.safety import SafetyFilter, SafetySettings, limit_by_scans, reaction_time, rolling_arcs
@@ -50,5 +51,6 @@ __all__ = [
     "reaction_time",
     "rolling_arcs",
     "shipped_weights",
+    "sight_of",
     "weights_folder",
 ]

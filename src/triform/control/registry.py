@@ -14,10 +14,10 @@ from triform.control.expert import EXPERTS, Expert
 from triform.control.gnn import GnnController
 from triform.control.learned import LearnedPolicy
 from triform.control.scan_pipeline import ScanPipeline
-from triform.control.triangulating import Triangulating
+from triform.control.triangulating import Triangulating, TriangulatingLaw
 from triform.control.user import UserController, installed_controllers, load_class
-from triform.policy import GnnRuntime, PolicyRuntime
-from triform.types import ConfigurationError, Controller, choose, convert_fields, nearest, require
+from triform.policy import GnnRuntime, PolicyRuntime, read_spec
+from triform.types import SENSING_RANGE, SIGHT, ConfigurationError, Controller, choose, convert_fields, nearest, require
 
 CONTROLLERS = ("policy", *EXPERTS, "triangulating", "scan-pipeline", "scan-triangulating", "gnn")
 DEFAULT_WEIGHTS = "default"
@@ -115,6 +115,7 @@ def make_controller(
     distance: float = 1.0,
     threads: int = 1,
     footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE,
+    sight: float = SIGHT,
 ) -> Controller[Any]:
     """Make a controller.
 
@@ -124,6 +125,7 @@ def make_controller(
         threads: For policies: threads of one call of the network, see ``PolicyRuntime``.
         footprint: For those that are told it, the outline of the robots: length and width of a box, or the diameter of
             a circle [m].
+        sight: For the triangulating law, how far robots look [d*]; a policy looks as far as in its training.
 
     Raises:
         ConfigurationError: If there is no such controller, or it cannot be made with these settings.
@@ -139,10 +141,21 @@ def make_controller(
     if name in EXPERTS:
         return Expert.named(name, distance)
     if name == "triangulating":
-        return Triangulating(distance)
-    return ScanPipeline(
-        distance, footprint=footprint, law="triangulating" if name == "scan-triangulating" else "springs"
-    )
+        return Triangulating(distance, law=TriangulatingLaw(sight=sight))
+    law = TriangulatingLaw(sight=sight) if name == "scan-triangulating" else None
+    return ScanPipeline(distance, footprint=footprint, law=law)
+
+
+def sight_of(controller: ControllerSpec) -> float:
+    """Return how far a controller looks [d*].
+
+    Raises:
+        TriformError: It is a policy that there is not.
+    """
+    if controller.name in WITH_WEIGHTS:
+        spec = read_spec(weights_folder(controller.weights, controller.name))
+        return spec.scan.range_max / spec.distance
+    return SENSING_RANGE if controller.name in (*EXPERTS, "scan-pipeline") else SIGHT
 
 
 def _blocking_radius(footprint: tuple[float, float] | float) -> float:

@@ -7,7 +7,7 @@ exactly what the learned policies see, but are told the footprint of the robots.
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -141,11 +141,11 @@ class ScanPipeline:
     stands still.
 
     **Springs**, Eq. 8: ``u_i = gain * sum_j (r_ij - d*) e_ij`` over the Gabriel neighbours j among the robots detected
-    in robot i's own scan, with ``e_ij`` the unit vector towards j: a neighbour that is too far attracts. (As printed,
-    Eq. 8 has the opposite sign and repels it.)
+    in robot i's own scan within 2 d*, with ``e_ij`` the unit vector towards j: a neighbour that is too far attracts.
+    (As printed, Eq. 8 has the opposite sign and repels it.)
 
     **Triangulating**: ``TriangulatingLaw``, with its exploration noise if the view carries one. It uses returns
-    within 2 d* and robots within the law's sight, whatever the range of the LiDAR.
+    and robots within the law's sight, whatever the range of the LiDAR.
 
     Being told the footprint is an advantage over a learned policy, which has to do with any: it corrects the bias of
     what is seen, the near side of each robot, and tells robots from walls.
@@ -159,7 +159,7 @@ class ScanPipeline:
         gain: float = 1.0,
         max_speed: float = 1.0,
         footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE,
-        law: Literal["springs", "triangulating"] = "springs",
+        law: TriangulatingLaw | None = None,
     ) -> None:
         """Make a pipeline.
 
@@ -168,26 +168,24 @@ class ScanPipeline:
             gain: Gain of the springs [1/s]; the triangulating law has its own.
             max_speed: Longer commands are scaled to this speed [m/s], keeping their direction.
             footprint: Length and width of the robots' box, or the diameter of a circle [m].
-            law: What to do about the robots detected.
+            law: What to do about the robots detected: the triangulating law, or springs if ``None``.
 
         Raises:
-            ConfigurationError: If a value is not positive, or one other than ``max_speed`` not finite, or there is no
-                such law.
+            ConfigurationError: If a value is not positive, or one other than ``max_speed`` not finite.
         """
         require(0 < distance < np.inf, f"distance is {distance} m; it must be positive and finite")
         require(0 < gain < np.inf, f"gain is {gain} 1/s; it must be positive and finite")
         require(max_speed > 0, f"max_speed is {max_speed} m/s; it must be positive")
-        require(law in ("springs", "triangulating"), f"law is {law!r}; the laws are springs and triangulating")
         self._footprint = kernel_footprint(footprint)
         self._springs = (float(distance), float(gain), float(max_speed))
-        self._triangulating = TriangulatingLaw() if law == "triangulating" else None
+        self._law = law
 
     @property
     def description(self) -> dict[str, Any]:
         """Name and settings, plain JSON values."""
         half_length, half_width, round_ = self._footprint
         distance, gain, max_speed = self._springs
-        law = self._triangulating
+        law = self._law
         return {
             "name": "scan-pipeline" if law is None else "scan-triangulating",
             "distance": distance,
@@ -205,15 +203,15 @@ class ScanPipeline:
         sight = (ranges, active, odometry, self._footprint, ray_directions(scan), scan.config.angle_min)
         out = np.empty((len(ranges), 3))
         distance, gain, max_speed = self._springs
+        law = self._law
 
         def steer(first: int, last: int) -> None:
-            if self._triangulating is None:
-                seen = _Seen(*sight, scan.config.range_max)
+            if law is None:
+                seen = _Seen(*sight, min(scan.config.range_max, SENSING_RANGE * distance))
                 _command_robots(seen, distance, gain, max_speed, out, first, last)
             else:
-                seen = _Seen(*sight, min(scan.config.range_max, SENSING_RANGE * distance))
-                law = self._triangulating.constants
-                _triangulate_robots(seen, distance, law, max_speed, noise, out, first, last)
+                seen = _Seen(*sight, min(scan.config.range_max, law.sight * distance))
+                _triangulate_robots(seen, distance, law.constants, max_speed, noise, out, first, last)
 
         in_parts(steer, len(ranges), len(ranges), SCANS_PER_THREAD)
         return out.reshape(*view.active.shape, 3)

@@ -20,6 +20,8 @@ LAW_EDGE_FEATURES = 4
 _CIRCLE_STEPS = 25
 #: Edges count as loose if both ends are nearer than sight by this much: who might stand between them is then in sight.
 _LOOSE_MARGIN = 0.7
+#: But no farther than this: beyond, robots hide those between others.
+_LOOSE_REACH = 2.3
 
 
 class LawConstants(NamedTuple):
@@ -99,7 +101,7 @@ def _link(x, y, count, sight, linked):
 
 @kernel
 def _looseness(x, y, radius, count, linked, reach, loose_length, loose_width):
-    """How far the longest edge within ``reach`` of the robot exceeds ``loose_length``, from 0 to 1 over ``loose_width``."""
+    """How far the longest edge within ``reach`` exceeds ``loose_length``, from 0 to 1 over ``loose_width``."""
     loose = 0.0
     for a in range(count):
         if radius[a] > reach:
@@ -189,7 +191,8 @@ def triangulate(count, law, workspace):
         v_x += edge_features[j, 0]
         v_y += edge_features[j, 1]
     strained = max(0.0, min(1.0, (largest - law.strain_limit) / law.strain_width))
-    loose = _looseness(x, y, radius, count, linked, law.sight - _LOOSE_MARGIN, law.loose_length, law.loose_width)
+    reach = min(law.sight - _LOOSE_MARGIN, _LOOSE_REACH)
+    loose = _looseness(x, y, radius, count, linked, reach, law.loose_length, law.loose_width)
     # A robot that its neighbours squeeze has no room to go to: it leaves compaction to those with room.
     loose *= 1.0 - max(0.0, min(1.0, (-smallest - law.squeeze_limit) / law.squeeze_width))
     features[0], features[1], features[2] = 1.0 if bridge else 0.0, strained, loose

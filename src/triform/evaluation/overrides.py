@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from triform.simulation import Drive, Footprint, LidarConfig, Profile, constant_noise
-from triform.types import SENSING_RANGE, convert_fields, require
+from triform.types import convert_fields, require
 
 Settings = TypeVar("Settings", LidarConfig, Drive, Profile)
 
@@ -23,7 +23,7 @@ _ALLOWED = {
     "lag": (0, 60, " s"),
     "min_intensity": (0, 1e6, ""),
 }
-#: How far a LiDAR reaches at most [m]; a robot uses 2 d* of it.
+#: How far a LiDAR reaches at most [m].
 LIDAR_REACH = 8.0
 
 
@@ -66,8 +66,8 @@ class Overrides:
                 f"{name} is {value}{unit}; it must lie between {least:g} and {most:g}{unit}",
             )
 
-    def applied_to(self, profile: Profile, distance: float) -> Profile:
-        """Return ``profile`` with these overrides, seeing as far as the prescribed ``distance`` d* needs: 2 d* [m].
+    def applied_to(self, profile: Profile, reach: float) -> Profile:
+        """Return ``profile`` with these overrides and a LiDAR that looks up to ``reach`` far [m].
 
         Raises:
             ConfigurationError: There is no such footprint, or the LiDAR measures no intensities.
@@ -80,7 +80,7 @@ class Overrides:
         )
         lidar = _given(
             profile.lidar,
-            scan=replace(profile.lidar.scan, range_max=SENSING_RANGE * distance),
+            scan=replace(profile.lidar.scan, range_max=reach),
             noise=None if noise is None else constant_noise(noise) if noise > 0 else (),
             dropout=self.dropout,
             period=None if self.scan_rate is None else 1 / self.scan_rate,

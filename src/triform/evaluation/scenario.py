@@ -44,6 +44,7 @@ from triform.simulators.chassis import BASES, Base, braked, check_base
 from triform.simulators.gazebo import GazeboServer, GazeboTeam
 from triform.types import (
     SENSING_RANGE,
+    SIGHT,
     BoolArray,
     ConfigurationError,
     Controller,
@@ -69,7 +70,8 @@ class Scenario:
         profile: Robot profile: a name or a TOML file. Of a mixed team, each with its number of robots, such as
             turtlebot4:3 hardware:2.
         arena: Arena: a name or a TOML file.
-        distance: Prescribed neighbour distance d* [m]. A robot sees as far as 2 d*, and starts grow with d*.
+        distance: Prescribed neighbour distance d* [m]. Starts grow with it.
+        sight: How far robots look with their LiDARs [d*], which reach 8 m at most; the paper's look 2 d* far.
         duration: Length of every run [s].
         event: What happens during a run: join, leave, push, stuck or meet, with its time, such as join@15.
         guard: Whether the safety filter between controller and wheels keeps robots from driving into what their scans
@@ -87,6 +89,7 @@ class Scenario:
     profile: str = "ideal"
     arena: str = "open"
     distance: float = 1.0
+    sight: float = SIGHT
     duration: float = 40.0
     event: Event | None = None
     guard: bool = True
@@ -99,8 +102,13 @@ class Scenario:
         farthest = LIDAR_REACH / SENSING_RANGE
         require(
             0 < self.distance <= farthest,
-            f"distance is {self.distance} m; it must be positive and at most {farthest:g} m, because a robot uses 2 d* "
-            f"of the {LIDAR_REACH:g} m that a LiDAR reaches",
+            f"distance is {self.distance} m; it must be positive and at most {farthest:g} m, because a robot needs 2 "
+            f"d* of the {LIDAR_REACH:g} m that a LiDAR reaches",
+        )
+        require(
+            SENSING_RANGE <= self.sight < np.inf,
+            f"sight is {self.sight} d*; it must be finite and at least {SENSING_RANGE:g} d*, because starts "
+            "connect robots over that distance",
         )
         require(
             WINDOW <= self.duration < np.inf,
@@ -122,7 +130,7 @@ class Scenario:
             "and before the end",
         )
         # Looked up once: files may change later, and are not there on the other machines of a cluster.
-        team = Composition.parse(self.profile).changed(partial(self.overrides.applied_to, distance=self.distance))
+        team = Composition.parse(self.profile).changed(partial(self.overrides.applied_to, reach=self.reach))
         require(
             not team.is_mixed or self.simulator == "builtin",
             f"simulator is {self.simulator!r}; robots of several profiles drive in the built-in world alone",
@@ -140,8 +148,13 @@ class Scenario:
         object.__setattr__(self, "_arena", get_arena(self.arena))
 
     @property
+    def reach(self) -> float:
+        """How far robots look [m]."""
+        return min(self.sight * self.distance, LIDAR_REACH)
+
+    @property
     def team(self) -> Composition:
-        """The kinds of robots as they run: their profiles with the overrides, seeing 2 d* far."""
+        """The kinds of robots as they run: their profiles with the overrides, looking as far as ``reach``."""
         team: Composition = self.__dict__["_team"]
         return team
 
@@ -206,7 +219,7 @@ class Scenario:
         """Make the controller of one kind; of several, each has its own workspace for its own scans."""
         mixed = self.team.is_mixed
         if isinstance(controller, str | ControllerSpec):
-            made = make_controller(controller, self.distance, footprint=profile.footprint.size)
+            made = make_controller(controller, self.distance, footprint=profile.footprint.size, sight=self.sight)
         else:
             made = copy.copy(controller) if mixed else controller
         threshold = profile.lidar.min_intensity

@@ -22,6 +22,7 @@ from triform.control import (
     control_steps,
     drive,
     make_controller,
+    sight_of,
     weights_folder,
 )
 from triform.control.detection import detect_robots, kernel_footprint
@@ -114,8 +115,8 @@ class DriveConfig:
         farthest = self.model.range_max / SENSING_RANGE
         require(
             0 < self.distance <= farthest,
-            f"distance is {self.distance} m; it must be positive and at most {farthest:g} m, because a robot uses 2 d* "
-            f"of the {self.model.range_max:g} m that its LiDAR reaches",
+            f"distance is {self.distance} m; it must be positive and at most {farthest:g} m, because a robot needs 2 "
+            f"d* of the {self.model.range_max:g} m that its LiDAR reaches",
         )
         require(0 < self.rate < math.inf, f"rate is {self.rate} Hz; it must be positive and finite")
         speed = self.speed
@@ -188,8 +189,8 @@ class DriveConfig:
 
     @property
     def scan(self) -> ScanConfig:
-        """Shape of a turn: the robot uses 2 d* of what its LiDAR sees."""
-        return self.model.scan_config(SENSING_RANGE * self.distance)
+        """Shape of a turn: of what its LiDAR sees, the robot uses what its controller looks at."""
+        return self.model.scan_config(min(sight_of(self.controller) * self.distance, self.model.range_max))
 
     @property
     def placement(self) -> Placement:

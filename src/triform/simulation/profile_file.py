@@ -121,7 +121,7 @@ def profile_toml(profile: Profile) -> str:
         f"rays = {scan.rays}  # of a full turn",
         f"angle_min = {float(scan.angle_min)!r}  # angle of the first ray, counter-clockwise from the front [rad]",
         f"range_min = {float(scan.range_min)!r}  # [m]",
-        f"range_max = {float(scan.range_max)!r}  # [m]; a robot uses 2 d* of what its LiDAR reaches",
+        f"range_max = {float(scan.range_max)!r}  # [m]; a team looks as far as its sight, a multiple of d*, instead",
         f"period = {float(lidar.period)!r}  # of one turn [s]",
         f"rolling = {str(lidar.rolling).lower()}  # whether each ray is measured at its own moment of the turn",
         f"dropout = {float(lidar.dropout)!r}  # share of rays that return nothing valid",

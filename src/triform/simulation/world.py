@@ -21,7 +21,7 @@ from triform.simulation.spawning import sample_starts, world_seeds
 from triform.simulation.world_kernels import Contacts, LidarTurn, Motion, advance_worlds, record_contacts
 from triform.threads import in_parts
 from triform.types import (
-    SENSING_RANGE,
+    SIGHT,
     BoolArray,
     ConfigurationError,
     FloatArray,
@@ -379,6 +379,7 @@ def make_world(
     profile: str = "ideal",
     arena: str = "open",
     distance: float = 1.0,
+    sight: float = SIGHT,
 ) -> World:
     """Return worlds at their random starts: runs 0, 1, ... of an evaluation with the same settings.
 
@@ -389,7 +390,8 @@ def make_world(
         profile: Robot profile: a name or a TOML file; of several kinds each with its number of robots, such as
             ``turtlebot4:3 hardware:2``.
         arena: Arena: a name or a TOML file.
-        distance: Prescribed neighbour distance d* [m]; a robot sees 2 d* far.
+        distance: Prescribed neighbour distance d* [m].
+        sight: How far robots look with their LiDARs [d*].
 
     Raises:
         ConfigurationError: A name is unknown or a number not allowed.
@@ -397,7 +399,7 @@ def make_world(
     runs, distance = converted("runs", runs, int), converted("distance", distance, float)
     require(runs >= 1, f"runs is {runs}; at least 1 is needed")
     require(0 < distance < np.inf, f"distance is {distance} m; it must be positive and finite")
-    composition = Composition.parse(profile).changed(lambda kind: kind.seeing(SENSING_RANGE * distance))
+    composition = Composition.parse(profile).changed(lambda kind: kind.seeing(sight * distance))
     robots = composition.team_size(robots, 9)
     poses = sample_starts(robots, runs, seed, distance=distance)
     seeds = world_seeds(robots, seed, range(runs))

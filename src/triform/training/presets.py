@@ -189,18 +189,19 @@ _DEFAULT = TrainConfig(
     scan=ScanConfig(rays=360, range_max=3.0),
     map=MapConfig(size=160),
 )
+#: The same with the range and the map of the paper.
+_NEAR = replace(
+    _DEFAULT,
+    preset="near",
+    network=NetworkConfig(dim=96, depth=3, heads=4, mlp=192, outputs=4),
+    law=TriangulatingLaw(sight=2.1),
+    scan=ScanConfig(rays=360),
+    map=MapConfig(),
+)
 
 PRESETS = {
     "default": _DEFAULT,
-    # The same with the range and the map of the paper.
-    "near": replace(
-        _DEFAULT,
-        preset="near",
-        network=replace(_DEFAULT.network, map_size=100),
-        law=replace(_DEFAULT.law, sight=2.1),
-        scan=replace(_DEFAULT.scan, range_max=2.0),
-        map=MapConfig(),
-    ),
+    "near": _NEAR,
     # The published method with a recipe that works: a small network that learns an expert of springs.
     "springs": TrainConfig("springs", NetworkConfig(dim=64, depth=2, heads=4, mlp=128), maps=5_000_000),
     # The same with the paper's network.
@@ -224,7 +225,7 @@ PRESETS = {
     # Learns the triangulating law in minutes on one processor, and less well: of 100 runs each of 5, 9 and 13 robots,
     # 98, 88 and 67 end in a true triangulation.
     "quick": replace(
-        _DEFAULT,
+        _NEAR,
         preset="quick",
         network=NetworkConfig(dim=64, depth=2, heads=4, mlp=128, outputs=4),
         maps=300_000,
@@ -232,12 +233,12 @@ PRESETS = {
         warmup=100,
         rounds=(0.5,),
     ),
-    # What the policy that learned the triangulating law is compared with, trained on the same scenes in the same way: a
+    # What the policy `near` is compared with, trained on the same scenes in the same way: a
     # convolutional network, a graph network whose robots talk, and the paper's network, which attends to every patch.
-    "cnn": replace(_DEFAULT, preset="cnn", network=CnnConfig()),
-    "gnn": replace(_DEFAULT, preset="gnn", network=GnnConfig()),
+    "cnn": replace(_NEAR, preset="cnn", network=CnnConfig()),
+    "gnn": replace(_NEAR, preset="gnn", network=GnnConfig()),
     "dense": replace(
-        _DEFAULT,
+        _NEAR,
         preset="dense",
         network=NetworkConfig(outputs=4, attention="all"),
         learning_rate=4e-4,
