@@ -9,7 +9,7 @@ import pytest
 from tests.options import options
 from triform.commands.terminal import Terminal
 from triform.evaluation import runs as runs_module
-from triform.evaluation.metrics import wilson_interval
+from triform.evaluation.statistics import wilson_interval
 from triform.experiments import grid as grid_module
 from triform.experiments.cell import Cell
 from triform.experiments.conditions import ConditionsConfig, failed_runs, run_conditions

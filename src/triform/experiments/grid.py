@@ -13,7 +13,7 @@ import numpy as np
 
 from triform.control import ControllerSpec
 from triform.engines import Engine, Report
-from triform.evaluation.metrics import RunTable, concatenate, summarise, wilson_interval
+from triform.evaluation.metrics import RunTable, concatenate, summarise
 from triform.evaluation.runs import Execution, by_group, chunks
 from triform.experiments.cell import Cell
 from triform.experiments.settings import digest, flat, warn_of_time
@@ -151,7 +151,7 @@ class Grid:
             cell.scenario.warm_up(poses, self.controller(cell))
 
     def summaries(self) -> list[dict[str, Any]]:
-        """Return the labels, measures, Wilson intervals and settings of every cell that is done."""
+        """Return the labels, measures and settings of every cell that is done."""
         return [self._summary(cell) for cell in self.done]
 
     def _take(self, cell: Cell) -> None:
@@ -184,9 +184,6 @@ class Grid:
             **cell.labels,
             "robots": cell.robots,
             **summarise(table),
-            **{
-                f"{rate}_interval": wilson_interval(int(table[rate].sum()), cell.runs) for rate in ("strict", "success")
-            },
             "collisions": int(table["collision"].sum()),
             "arena_hits": int(table["hit_arena"].sum()),
             "settings": self._settings[cell],
