@@ -19,8 +19,8 @@ from triform.types import FloatArray
 _OUTSIDE = 0.05
 #: Pairs up to which the signed-rank test counts all signs; a normal distribution is as good beyond.
 _MOST_COUNTED = 200
-#: Differences are rounded to this many decimals, so that equal ones are not told apart by how floats err.
-_DECIMALS = 9
+#: Differences are rounded to this many decimals, so that floats' own errors are no difference and break no tie.
+_DECIMALS = 6
 
 
 def wilson_interval(count: int, total: int) -> tuple[float, float]:
@@ -51,6 +51,17 @@ def median_interval(values: NDArray[Any]) -> tuple[float, float]:
     return (float(defined[rank - 1]), float(defined[-rank])) if rank > 0 else (np.nan, np.nan)
 
 
+def differences(first: NDArray[Any], second: NDArray[Any]) -> FloatArray:
+    """Return by how much the values of runs differ (P,), over the P runs of which both are finite, to a millionth.
+
+    Args:
+        first: Values, or whether something happened, of runs one way, shape (B,).
+        second: The same of the same runs the other way, shape (B,).
+    """
+    found = np.round(second.astype(np.float64) - first.astype(np.float64), _DECIMALS)
+    return np.asarray(found[np.isfinite(found)])
+
+
 def mcnemar(first: NDArray[Any], second: NDArray[Any]) -> float:
     """Return the p-value of McNemar's exact test: do two outcomes of the same runs have different rates?
 
@@ -63,15 +74,16 @@ def mcnemar(first: NDArray[Any], second: NDArray[Any]) -> float:
     """
     if len(first) == 0:
         return np.nan
-    gained, lost = int((second & ~first).sum()), int((first & ~second).sum())
+    gains = differences(first, second)
+    gained, lost = int((gains > 0).sum()), int((gains < 0).sum())
     return min(1.0, 2 * float(_fair_coins(gained + lost)[min(gained, lost)]))
 
 
 def signed_rank(first: NDArray[Any], second: NDArray[Any]) -> float:
     """Return the p-value of Wilcoxon's signed-rank test: do two values of the same runs differ?
 
-    Over the pairs of which both values are finite. Pairs of equal values are left out, and equal differences share
-    their mean rank. Up to 200 pairs, all signs are counted; beyond, the rank sum is taken to be normal.
+    Over the pairs of which both values are finite. Pairs that differ by less than a millionth are left out, and equal
+    differences share their mean rank. All signs of up to 200 pairs are counted; the rank sum of more counts as normal.
 
     Args:
         first: Values of runs one way, shape (B,).
@@ -81,17 +93,16 @@ def signed_rank(first: NDArray[Any], second: NDArray[Any]) -> float:
         Probability of a rank sum as far off as this if a difference is as likely as its opposite; 1 if no pair
         differs, ``NaN`` without any pair.
     """
-    both = np.isfinite(first) & np.isfinite(second)
-    if not both.any():
+    gains = differences(first, second)
+    if len(gains) == 0:
         return np.nan
-    differences = np.round((second[both] - first[both]).astype(np.float64), _DECIMALS)
-    differences = differences[differences != 0]
-    if len(differences) == 0:
+    gains = gains[gains != 0]
+    if len(gains) == 0:
         return 1.0
-    _, inverse, counts = np.unique(np.abs(differences), return_inverse=True, return_counts=True)
+    _, inverse, counts = np.unique(np.abs(gains), return_inverse=True, return_counts=True)
     # Twice the mean ranks, which are whole numbers.
     ranks = (2 * np.cumsum(counts) - counts + 1)[inverse]
-    positive, total = int(ranks[differences > 0].sum()), int(ranks.sum())
+    positive, total = int(ranks[gains > 0].sum()), int(ranks.sum())
     smaller = min(positive, total - positive)
     if len(ranks) > _MOST_COUNTED:
         return math.erfc((total / 2 - smaller) / math.sqrt(float((ranks.astype(np.float64) ** 2).sum()) / 2))

@@ -20,7 +20,7 @@ from triform.experiments.settings import digest, flat, warn_of_time
 from triform.geometry.cells import SMALL_TEAM
 from triform.report.listener import SILENT, Listener
 from triform.report.output import own_folder, write_json
-from triform.report.tables import format_value, read_parquet, require_parquet, write_parquet
+from triform.report.tables import format_measure, read_parquet, require_parquet, write_parquet
 from triform.simulation import sample_starts
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, TriformError
@@ -253,7 +253,7 @@ def measure_in_folder(
     name: str,
     grid: Grid,
     listener: Listener,
-    more: Mapping[str, Any],
+    more: Callable[[], Mapping[str, Any]],
     without: Collection[str] = ("output",),
     on_summaries: Callable[[list[dict[str, Any]]], object] = len,
 ) -> list[dict[str, Any]]:
@@ -264,7 +264,7 @@ def measure_in_folder(
         name: Name of the file, without its ending.
         grid: The cells.
         listener: Hears of progress.
-        more: What the file holds besides options and summaries.
+        more: Returns what the file holds besides options and summaries.
         without: Options that say nothing about results.
         on_summaries: Called with the summaries after they are written.
 
@@ -276,7 +276,7 @@ def measure_in_folder(
     def keep(seconds: float) -> None:
         summaries[:] = grid.summaries()
         options = {"config": flat(config, without), "wall_seconds": round(seconds, 3)}
-        write_json(config.output / f"{name}.json", {**options, **more, "cells": summaries})
+        write_json(config.output / f"{name}.json", {**options, **more(), "cells": summaries})
         on_summaries(summaries)
 
     measure_grid(grid, config.execution, keep, listener)
@@ -292,8 +292,8 @@ def spread_out(
     summaries: Sequence[dict[str, Any]], label: str, columns: Sequence[tuple[str, int]], key: str, kind: str
 ) -> list[str]:
     """Return one measure of a row, formatted, for every column (profile, robots); a dash for what is not done."""
-    own = {(each["profile"], each["robots"]): each[key] for each in summaries if each["label"] == label}
-    return [format_value(own.get(column), kind) for column in columns]
+    own = {(each["profile"], each["robots"]): each for each in summaries if each["label"] == label}
+    return [format_measure(own[column], key, kind) if column in own else "-" for column in columns]
 
 
 def _kind(cell: Cell) -> Any:
