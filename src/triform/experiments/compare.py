@@ -161,7 +161,7 @@ def run_compare(config: CompareConfig, listener: Listener = SILENT) -> list[Path
 
         sections, pages = write(measure_in_folder(config, _NAME, grid, listener, more, on_summaries=write))
         # The other tables would fill many screens.
-        for section, note in zip(sections, ("", f"{BRACKETS} {explain_p(paired())}"), strict=False):
+        for section, note in zip(sections, ("", f"{BRACKETS} {explain_p(paired())}".rstrip()), strict=False):
             listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN), note)
         say_written(listener, config.output, sections, pages)
         return pages
@@ -238,7 +238,7 @@ def _overview(config: CompareConfig, skipped: Mapping[str, str], comparisons: st
     ]
     if skipped:
         parts.append(f"Left out: {'; '.join(f'{label} ({why})' for label, why in skipped.items())}.")
-    return " ".join([*parts, BRACKETS, comparisons])
+    return " ".join([*parts, BRACKETS, comparisons]).rstrip()
 
 
 def _section(config: CompareConfig, title: str, text: str, headings: list[str], rows: list[list[str]]) -> Section:

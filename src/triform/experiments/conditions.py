@@ -230,8 +230,10 @@ def run_conditions(config: ConditionsConfig, listener: Listener = SILENT) -> lis
         tables = [section for section in sections if section.rows]
         for section in tables:
             shown = drop_columns(section.headings, section.rows, _UNSHOWN)
-            note = explain_p(paired.get(section.key, ()), meaning=False)
-            listener.table(section.title, *shown, f"{note} {BRACKETS} {MEANING}" if section is tables[-1] else note)
+            notes = [explain_p(paired[section.key], meaning=False)]
+            if section is tables[-1]:
+                notes += [BRACKETS, MEANING if any(paired.values()) else ""]
+            listener.table(section.title, *shown, " ".join(filter(None, notes)))
         pages = write_pages(config.output, "Under many conditions", sections, _NAME)
         say_written(listener, config.output, sections, pages)
         return pages
@@ -290,11 +292,11 @@ def list_sections(
         paired: What ``compare_values`` returned.
     """
     found = {summary["condition"] for summary in summaries}
-    sections = [_overview(config, skipped, privileged)]
+    sections = [_overview(config, skipped, privileged, MEANING if any(paired.values()) else "")]
     for condition in SWEEPS:
         if condition in found:
             own = [summary for summary in summaries if summary["condition"] == condition]
-            sections.append(_condition(config, condition, own, paired.get(condition, ())))
+            sections.append(_condition(config, condition, own, paired[condition]))
     if failures:
         text = (
             f"The first failed run of {failures} cells with a failed run, one of every condition in turns. Where every "
@@ -306,7 +308,7 @@ def list_sections(
     return sections
 
 
-def _overview(config: ConditionsConfig, skipped: Mapping[str, str], privileged: bool) -> Section:
+def _overview(config: ConditionsConfig, skipped: Mapping[str, str], privileged: bool, meaning: str) -> Section:
     scenario = config.scenario
     parts = [
         f"Controller {config.controller.label}, {config.runs} random starts per value and team size with seed "
@@ -316,8 +318,10 @@ def _overview(config: ConditionsConfig, skipped: Mapping[str, str], privileged: 
         "brackets are Wilson's 95 % intervals. Hold: mean share of the last 5 s in which a run is strict; strict at: "
         "median time from which runs are strict to the end; drift: median speed of their robots in the last 5 s; "
         "closest: smallest distance between two centres; overlaps: runs in which two footprints ever overlapped; hits: "
-        f"runs in which one overlapped a wall or pillar. {MEANING}"
+        "runs in which one overlapped a wall or pillar."
     ]
+    if meaning:
+        parts.append(meaning)
     if privileged:
         parts.append("This controller sees true poses at once: what a LiDAR does to scans does not reach it.")
     if skipped:
