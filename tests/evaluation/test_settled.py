@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import binomtest
 
 from tests.formations import PERIOD, hexagon, still
 from triform.evaluation import Trajectory, measure, summarise
-from triform.evaluation.metrics import settle, wilson_interval
+from triform.evaluation.metrics import settle
 from triform.geometry import assess
 
 LINE = np.stack([np.arange(7.0), np.zeros(7)], axis=-1)
@@ -99,13 +98,3 @@ def test_settling_counts_in_units_of_the_distance_and_leaves_absent_robots_out()
     table = measure(still([padded], active=[[True] * 7 + [False]]), distance=0.6)
     assert table["strict_time"] == 0
     assert table["settled_speed"] == 0
-
-
-@given(st.integers(1, 300).flatmap(lambda total: st.tuples(st.integers(0, total), st.just(total))))
-def test_intervals_are_wilsons(counted):
-    expected = binomtest(*counted).proportion_ci(method="wilson")
-    assert wilson_interval(*counted) == pytest.approx((expected.low, expected.high), abs=1e-12)
-
-
-def test_no_runs_have_no_interval():
-    assert np.isnan(wilson_interval(0, 0)).all()

@@ -57,14 +57,20 @@ def test_all_files_are_written(folder):
     page = (folder / "ablation.md").read_text()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:1] == "|"]
     assert rows[0] == [
-        "law", "changed", "strict 3", "strict 4", "success 3", "success 4", "strict at 3", "strict at 4",
+        "law", "changed", "strict 3", "strict 4", "p strict", "success 3", "success 4", "p success", "strict at 3",
+        "strict at 4", "p strict at",
     ]  # fmt: skip
     assert [row[0] for row in rows[2:]] == list(FEW)
+    assert rows[2][4] == "ref"
+    assert f"p: {len(FEW) - 1} comparisons with whole law" in page
     assert "`triform ablate --robots 3 4 --runs 2 --seed 3" in page
     written = json.loads((folder / "ablation.json").read_text())
     assert [(cell["label"], cell["robots"]) for cell in written["cells"]] == [(v, n) for v in FEW for n in (3, 4)]
     assert written["variants"]["no compaction"]["law"]["compaction_speed"] == 0
     assert "controller" not in written["config"]
+    assert [(row["label"], row["reference"], row["strict"]["pairs"]) for row in written["paired"]] == [
+        (label, "whole law", 4) for label in list(FEW)[1:]
+    ]
 
 
 def test_the_whole_law_is_the_controller_called_triangulating(folder):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ import pytest
 from tests.options import options
 from triform.cli import main
 from triform.commands.terminal import Terminal
-from triform.control import CONTROLLERS
+from triform.control import CONTROLLERS, TriangulatingLaw
 from triform.experiments.compare import CompareConfig, run_compare
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.experiments.grid import Grid
@@ -48,12 +49,15 @@ def test_all_files_of_a_comparison_are_written(folder):
     assert names == {"compare.json", "compare.parquet", "compare.md", "compare.html"}
     page = (folder / "compare.md").read_text()
     rows = table_rows(page)
-    assert rows[0] == ["controller", "sees", "parameters", "step [ms]", "3", "14", "3*"]
+    assert rows[0] == ["controller", "sees", "parameters", "step [ms]", "3", "14", "3*", "p"]
     assert [row[:3] for row in rows[2:4]] == [
         ["expert", "everybody's pose", "-"],
-        ["triangulating", "poses within 2.1 d* in line of sight", "-"],
+        ["triangulating", f"poses within {TriangulatingLaw().sight:g} d* in line of sight", "-"],
     ]
     assert all(float(row[3]) > 0 for row in rows[2:4])
+    assert [row[-1] for row in rows[2:4]] == ["ref", "1.00"]
+    assert re.fullmatch(r"\d+ % \(\d+-\d+\)", rows[2][4])
+    assert "p: 1 comparison with expert, all columns together (ref). p is the chance" in page
     for heading in ("## Strict runs", "## Success", "## Median error", "## Strict at"):
         assert heading in page
     assert len(rows) == 4 * 4
@@ -87,6 +91,11 @@ def test_every_controller_of_a_comparison_runs_the_same_starts(folder):
     ]
     assert [each["label"] for each in written["controllers"]] == ["expert", "triangulating"]
     assert list(written["skipped"]) == ["policy:nowhere"]
+    (paired,) = written["paired"]
+    assert (paired["label"], paired["reference"], paired["strict"]["pairs"]) == ("triangulating", "expert", 5)
+    by_label = {label: own.reset_index() for label, own in frame.groupby("label")}
+    gains = by_label["triangulating"].formation_error - by_label["expert"].formation_error
+    assert paired["formation_error"]["higher"] == (gains > 1e-6).sum()
 
 
 def test_a_comparison_goes_on_with_more_controllers(folder, tmp_path):
@@ -95,7 +104,7 @@ def test_a_comparison_goes_on_with_more_controllers(folder, tmp_path):
     assert [line.split(": ")[1] for line in told.splitlines() if line.startswith("done")] == [
         "expert-odd, 3 robots, ideal"
     ]
-    assert table_rows((tmp_path / "compare.md").read_text())[0][4:] == ["3"]
+    assert table_rows((tmp_path / "compare.md").read_text())[0][4:] == ["3", "p"]
     told = compared(tmp_path, controllers=("triangulating", "expert-odd", "expert"), hardware_robots=())
     assert [line.split(": ")[1] for line in told.splitlines() if line.startswith("done")] == [
         "expert-odd, 14 robots, ideal"

@@ -9,7 +9,7 @@ import pytest
 from tests.options import options
 from triform.commands.terminal import Terminal
 from triform.evaluation import runs as runs_module
-from triform.evaluation.metrics import wilson_interval
+from triform.evaluation.statistics import wilson_interval
 from triform.experiments import grid as grid_module
 from triform.experiments.cell import Cell
 from triform.experiments.conditions import ConditionsConfig, failed_runs, run_conditions
@@ -75,6 +75,19 @@ def test_every_cell_is_summarised_from_its_rows(folder):
         assert (cell["collisions"], cell["arena_hits"]) == (own.collision.sum(), own.hit_arena.sum())
     latencies = [cell["settings"]["profile_description"]["latency"] for cell in cells if cell["condition"] == "latency"]
     assert latencies == [0, 0, 0.05, 0.05, 0.1, 0.1, 0.2, 0.2, 0.3, 0.3, 0.5, 0.5]
+
+
+def test_values_are_compared_with_the_first_where_starts_are_the_same(folder):
+    found = json.loads((folder / "conditions.json").read_text())["paired"]
+    latencies = [(label, robots, "0") for label in ("0.05", "0.1", "0.2", "0.3", "0.5") for robots in (3, 4)]
+    # Teams that meet start elsewhere.
+    events = [(label, robots, "join") for label in ("leave", "push", "stuck") for robots in (3, 4)]
+    assert [(row["label"], row["robots"], row["reference"]) for row in found] == latencies + events
+    assert {row["strict"]["pairs"] for row in found} == {3}
+    page = (folder / "conditions.md").read_text()
+    assert "p: 10 comparisons with the first row with as many robots (ref)." in page
+    headings = next(line for line in page.splitlines() if line.startswith("| latency [s]"))
+    assert "| strict | p strict | success | p success |" in headings
 
 
 def test_runs_are_those_of_an_evaluation(folder):

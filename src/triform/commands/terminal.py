@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -48,15 +50,53 @@ class Terminal:
             self.say(sentence)
 
     def table(self, title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> None:
-        """Show a right-aligned table and, below it, what its headings mean."""
-        table = Table(title=Text(printable(title)), title_justify="left", box=SIMPLE_HEAD, show_edge=False, padding=0)
-        for heading in headings:
-            table.add_column(Text(printable(heading)), justify="right", overflow="fold")
-        for row in rows:
-            table.add_row(*(Text(printable(cell)) for cell in row))
-        self.console.print(table)
+        """Show a right-aligned table and, below it, what its headings mean.
+
+        A table that is too wide is shown in parts, each with the first column; numbers and their units stay together.
+        """
+        self.console.print(Text(printable(title), style="italic"))
+        columns = [[Text(printable(cell)) for cell in column] for column in zip(headings, *rows, strict=True)]
+        for part, widths in _parts(columns, self.console.width):
+            table = Table(box=SIMPLE_HEAD, show_edge=False, padding=0)
+            for (heading, *_), width in zip(part, widths, strict=True):
+                table.add_column(heading, justify="right", overflow="fold", width=width)
+            for row in zip(*(cells for _, *cells in part), strict=True):
+                table.add_row(*row)
+            self.console.print(table)
         if note:
             self.console.print(Text(printable(note), style="dim"))
+
+
+#: Where a line of a table may break: not between a number and its unit, but before what stands in brackets.
+_BREAKS = re.compile(r"(?<!\d) | (?=\()")
+
+
+def _parts(columns: Sequence[list[Text]], available: int) -> Iterator[tuple[list[list[Text]], list[int]]]:
+    """Divide columns among tables so narrow that each fits, with the first column in all of them.
+
+    Args:
+        columns: Cells of every column, its heading first.
+        available: Width of the terminal, in characters.
+
+    Yields:
+        The columns of a table and their widths, in characters.
+    """
+    least = [max(cell_len(piece) for cell in column for piece in _BREAKS.split(cell.plain)) for column in columns]
+    parts = [[0]]
+    for number in range(1, len(columns)):
+        if sum(least[each] + 1 for each in parts[-1]) + least[number] > available and len(parts[-1]) > 1:
+            parts.append([0])
+        parts[-1].append(number)
+    for part in parts:
+        widths = {number: least[number] for number in part}
+        spare = available - sum(widths.values()) - len(part) + 1
+        missing = {number: max(cell.cell_len for cell in columns[number]) - least[number] for number in part}
+        # Columns that need least to show their cells in one line get it first.
+        for number in sorted(part, key=missing.__getitem__):
+            given = max(0, min(spare, missing[number]))
+            widths[number] += given
+            spare -= given
+        yield [columns[number] for number in part], list(widths.values())
 
 
 def on_terminal(name: str, config: type, work: Callable[[Any, Terminal], object]) -> type:

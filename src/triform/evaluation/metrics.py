@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from triform.evaluation.rollout import Trajectory
+from triform.evaluation.statistics import median_interval, wilson_interval
 from triform.geometry import assess, edge_error, smallest_distance
 from triform.types import SENSING_RANGE, BoolArray, FloatArray, converted, require
 
@@ -171,8 +172,14 @@ def closest(trajectory: Trajectory) -> FloatArray:
     return np.asarray(recorded.min(axis=1, initial=np.inf), dtype=np.float64)
 
 
+#: Measures of which ``summarise`` gives the rate, with Wilson's interval.
+_RATES = ("success", "success_sensed", "strict", "strict_sensed", "connected_end", "collision", "hit_arena")
+#: Measures of which ``summarise`` gives the median of the runs that define it, with an interval.
+_MEDIANS = ("strict_time", "settled_speed", "formation_error", "converge_time")
+
+
 def summarise(table: RunTable) -> dict[str, Any]:
-    """Summarise runs of one team size: rates and errors as fractions, times in seconds.
+    """Summarise runs of one team size: rates and errors as fractions, times in seconds, and 95 % intervals.
 
     Converge time is summarised over the runs that converged; ``NaN`` stands for what no run defines.
 
@@ -182,36 +189,27 @@ def summarise(table: RunTable) -> dict[str, Any]:
     Returns:
         ``runs`` and its measures.
     """
-    error, time = table["formation_error"], table["converge_time"]
-    return {
-        "runs": len(error),
-        "success": _mean(table["success"]),
-        "success_sensed": _mean(table["success_sensed"]),
-        "strict": _mean(table["strict"]),
-        "strict_sensed": _mean(table["strict_sensed"]),
-        "strict_time_median": quantile(table["strict_time"], 0.5),
+    summary: dict[str, Any] = {"runs": len(table["success"])}
+    for name in _RATES:
+        summary |= summarise_rate(name, table[name])
+    for name in _MEDIANS:
+        summary |= summarise_median(name, table[name])
+    return summary | {
         "strict_hold_mean": _mean(table["strict_hold"]),
-        "settled_speed_median": quantile(table["settled_speed"], 0.5),
-        "formation_error_median": quantile(error, 0.5),
-        "formation_error_p95": quantile(error, 0.95),
-        "converge_time_median": quantile(time, 0.5),
+        "formation_error_p95": quantile(table["formation_error"], 0.95),
         "compactness_mean": _mean(table["compactness"]),
-        "connected_end": _mean(table["connected_end"]),
         "min_distance": float(np.min(table["min_distance"], initial=np.inf)),
-        "collision": _mean(table["collision"]),
-        "hit_arena": _mean(table["hit_arena"]),
     }
 
 
-def wilson_interval(count: int, total: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a rate of which ``count`` of ``total`` were observed; NaN without any."""
-    if total == 0:
-        return np.nan, np.nan
-    z_squared = 1.959963984540054**2
-    share, spread = count / total, z_squared / total
-    middle = (share + spread / 2) / (1 + spread)
-    half = np.sqrt(spread * (share * (1 - share) + spread / 4)) / (1 + spread)
-    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
+def summarise_rate(name: str, happened: NDArray[Any]) -> dict[str, Any]:
+    """Return the share of runs in which something happened (B,), and its 95 % interval, by their keys."""
+    return {name: _mean(happened), f"{name}_interval": wilson_interval(int(happened.sum()), len(happened))}
+
+
+def summarise_median(name: str, values: NDArray[Any]) -> dict[str, Any]:
+    """Return the median of the values (B,) that are defined, and its 95 % interval, by their keys."""
+    return {f"{name}_median": quantile(values, 0.5), f"{name}_median_interval": median_interval(values)}
 
 
 def select(table: RunTable, rows: BoolArray) -> RunTable:

@@ -15,12 +15,13 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import measure_in_folder, open_grid, spread_out
+from triform.experiments.paired import Row, compare_rows, explain_p, format_p
 from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, check_teams, for_team, team_sizes
 from triform.figures.grids import ablation_figure
 from triform.figures.style import save_figure
 from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
-from triform.report.tables import drop_columns
+from triform.report.tables import BRACKETS, drop_columns
 from triform.simulation.noise import exploration_noise
 from triform.types import NOISE_PERIOD, Controller, FloatArray, PrivilegedView, TriformError, convert_fields
 
@@ -29,10 +30,14 @@ _NAME = "ablation"
 #: Moments farther apart than this have errors of their own [s].
 _ERROR_PERIOD = 1e-3
 
-#: Key in a summary and format of the columns, and how they are called.
-_MEASURES = (("strict", "strict", "%"), ("success", "success", "%"), ("strict at", "strict_time_median", "s"))
+#: How the columns are called, their key in a summary, format and measure of a run.
+_MEASURES = (
+    ("strict", "strict", "%", "strict"),
+    ("success", "success", "%", "success"),
+    ("strict at", "strict_time_median", "s", "strict_time"),
+)
 #: Columns that a terminal of 80 characters has no room for begin so.
-_UNSHOWN = ("changed", "success", "strict at")
+_UNSHOWN = ("changed", "success", "strict at", "p success", "p strict at")
 
 
 @dataclass(frozen=True)
@@ -191,19 +196,25 @@ def run_ablate(config: AblateConfig, listener: Listener = SILENT) -> list[Path]:
     """
     with open_grid(config.output, _NAME, lambda _: config.cells) as grid:
         variants = {label: asdict(variant) | {"law": asdict(variant.law)} for label, variant in VARIANTS.items()}
-        summaries = measure_in_folder(config, _NAME, grid, listener, {"variants": variants})
+
+        def more() -> dict[str, Any]:
+            return {"variants": variants, "paired": [row.as_json() for row in compare_rows(grid, grid.cells)]}
+
+        summaries = measure_in_folder(config, _NAME, grid, listener, more)
         labels = list(dict.fromkeys(cell.labels["label"] for cell in grid.cells))
         save_figure(ablation_figure(summaries, labels), config.output / f"{_NAME}.png")
-        section = make_section(config, summaries)
+        paired = compare_rows(grid, grid.cells)
+        section = make_section(config, summaries, paired)
         unshown = [heading for heading in section.headings if heading.startswith(_UNSHOWN)]
-        listener.table(section.title, *drop_columns(section.headings, section.rows, unshown))
+        shown = drop_columns(section.headings, section.rows, unshown)
+        listener.table(section.title, *shown, f"{BRACKETS} {explain_p(paired)}".rstrip())
         pages = write_pages(config.output, "What the terms of the triangulating law are for", [section], _NAME)
         say_written(listener, config.output, [section], pages)
         return pages
 
 
-def make_section(config: AblateConfig, summaries: Sequence[dict[str, Any]]) -> Section:
-    """Return the page's section over what ``Grid.summaries`` returned."""
+def make_section(config: AblateConfig, summaries: Sequence[dict[str, Any]], paired: Sequence[Row]) -> Section:
+    """Return the page's section over what ``Grid.summaries`` and ``compare_rows`` returned."""
     scenario = config.scenario
     text = (
         f"{config.runs} random starts per variant and team size with seed {config.seed}, "
@@ -212,14 +223,17 @@ def make_section(config: AblateConfig, summaries: Sequence[dict[str, Any]]) -> S
         f"{'behind' if scenario.guard else 'without'} the safety filter. Robots see true positions in range that "
         "no robot hides. Strict: the run ends in a true triangulation; success: the formation error of the last 5 s is "
         "below 10 %; strict at: median time from which runs are strict to the end, of those that are. Numbers in "
-        "headings: robots. Bars are Wilson's 95 % intervals, the vertical line is the whole law."
-    )
-    headings = ["law", "changed"] + [f"{title} {robots}" for title, _, _ in _MEASURES for _, robots in config.columns]
+        "headings: robots. Bars and brackets are Wilson's 95 % intervals, the vertical line is the whole law. "
+        f"{explain_p(paired)}"
+    ).rstrip()
+    headings = ["law", "changed"]
+    for title, *_ in _MEASURES:
+        headings += [*(f"{title} {robots}" for _, robots in config.columns), f"p {title}"]
     rows = []
     for label, variant in VARIANTS.items():
         row = [label, variant.change]
-        for _, key, kind in _MEASURES:
-            row += spread_out(summaries, label, config.columns, key, kind)
+        for _, key, kind, measure in _MEASURES:
+            row += [*spread_out(summaries, label, config.columns, key, kind), format_p(paired, measure, label=label)]
         rows.append(row)
     files = [f"{_NAME}.json", f"{_NAME}.parquet"]
     return Section(

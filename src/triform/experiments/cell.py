@@ -69,6 +69,20 @@ class Cell:
         return (*self.labels.values(), self.robots)
 
     @property
+    def starts_key(self) -> tuple[Any, ...]:
+        """What decides where a run of each index starts: equal for cells that start the same."""
+        event = self.scenario.event
+        meeting = event is not None and event.kind == "meet"
+        return self.robots, self.scenario.distance, self.seed, meeting, self._starts_digest
+
+    @property
+    def _starts_digest(self) -> str | None:
+        """A digest of the explicit starts; ``None`` if they are random."""
+        if self.starts is None:
+            return None
+        return hashlib.sha256(np.ascontiguousarray(self.starts.poses).tobytes()).hexdigest()
+
+    @property
     def work(self) -> int:
         """Robots times control periods of all runs."""
         return self.scenario.steps * self.runs * self.robots
@@ -91,7 +105,7 @@ class Cell:
         if scenario.event is not None:
             settings |= {"event": asdict(scenario.event)}
         if self.starts is not None:
-            settings |= {"starts": hashlib.sha256(np.ascontiguousarray(self.starts.poses).tobytes()).hexdigest()}
+            settings |= {"starts": self._starts_digest}
         plainly: dict[str, Any] = plain(settings)
         return plainly
 

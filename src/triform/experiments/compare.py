@@ -12,11 +12,12 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import Grid, measure_in_folder, open_grid, spread_out
+from triform.experiments.paired import Row, compare_rows, explain_p, format_p
 from triform.experiments.settings import LARGE_TEAM, LARGE_TEAM_TIME, MOST_RUNS, check_teams, for_team, team_sizes
 from triform.limits import require_at_most
 from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
-from triform.report.tables import drop_columns
+from triform.report.tables import BRACKETS, drop_columns
 from triform.timing.step_time import TEAM, network_size, record_views, step_times, what_it_sees
 from triform.types import convert_fields, require
 
@@ -29,12 +30,18 @@ _CONTROLLERS = (
     "policy:default", "policy:short", "policy:cnn", "gnn:gnn", "policy:paper", "policy:large", "scan-pipeline",
     "scan-triangulating", "expert", "expert-sensed", "expert-odd", "triangulating",
 )  # fmt: skip
-#: Title, key in a summary, format and explanation of the tables that follow the first one.
+#: Title, key in a summary, format, measure of a run and explanation of the tables that follow the first one.
 _TABLES = (
-    ("Success", "success", "%", "Share of runs whose formation error, averaged over the last 5 s, is below 10 %."),
-    ("Median error", "formation_error_median", "%%", "Median formation error of the last 5 s."),
-    ("Strict at", "strict_time_median", "s", "Median time from which runs are strict to the end, of those that are."),
-)
+    (
+        "Success", "success", "%", "success",
+        "Share of runs whose formation error, averaged over the last 5 s, is below 10 %.",
+    ),
+    ("Median error", "formation_error_median", "%%", "formation_error", "Median formation error of the last 5 s."),
+    (
+        "Strict at", "strict_time_median", "s", "strict_time",
+        "Median time from which runs are strict to the end, of those that are.",
+    ),
+)  # fmt: skip
 #: Columns that a terminal of 80 characters has no room for.
 _UNSHOWN = ("sees", "parameters")
 
@@ -141,15 +148,21 @@ def run_compare(config: CompareConfig, listener: Listener = SILENT) -> list[Path
             costs = find_costs(config, grid)
         controllers = [{"label": label} | asdict(each) for label, each in costs.items()]
 
+        def paired() -> list[Row]:
+            return compare_rows(grid, grid.cells)
+
+        def more() -> dict[str, Any]:
+            rows = [row.as_json() for row in paired()]
+            return {"controllers": controllers, "skipped": grid.skipped, "paired": rows}
+
         def write(summaries: Sequence[dict[str, Any]]) -> tuple[list[Section], list[Path]]:
-            sections = list_sections(config, summaries, costs, grid.skipped)
+            sections = list_sections(config, summaries, costs, grid.skipped, paired())
             return sections, write_pages(config.output, "Controllers side by side", sections, _NAME)
 
-        more = {"controllers": controllers, "skipped": grid.skipped}
         sections, pages = write(measure_in_folder(config, _NAME, grid, listener, more, on_summaries=write))
-        # The other tables are too wide for many terminals.
-        for section in sections[:2]:
-            listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
+        # The other tables would fill many screens.
+        for section, note in zip(sections, ("", f"{BRACKETS} {explain_p(paired())}".rstrip()), strict=False):
+            listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN), note)
         say_written(listener, config.output, sections, pages)
         return pages
 
@@ -179,6 +192,7 @@ def list_sections(
     summaries: Sequence[dict[str, Any]],
     costs: Mapping[str, Cost],
     skipped: Mapping[str, str],
+    paired: Sequence[Row],
 ) -> list[Section]:
     """Return the sections of the page: what the controllers are and how often they are strict, and other measures.
 
@@ -187,22 +201,27 @@ def list_sections(
         summaries: What ``Grid.summaries`` returned.
         costs: What is known about every controller that can be made, by label.
         skipped: Those that cannot, with the reason.
+        paired: The controllers compared with the first one.
     """
     sizes = [f"{robots}" if profile != REAL_PROFILE else f"{robots}*" for profile, robots in config.columns]
+
+    def spread(label: str, key: str, kind: str, measure: str) -> list[str]:
+        return [*spread_out(summaries, label, config.columns, key, kind), format_p(paired, measure, label=label)]
+
     rows = []
     for label, each in costs.items():
         parameters = "-" if each.parameters is None else f"{each.parameters:,}"
         own = [label, each.sees, parameters, f"{1e3 * each.step_time:.3f}"]
-        rows.append(own + spread_out(summaries, label, config.columns, "strict", "%"))
-    headings = ["sees", "parameters", "step [ms]", *sizes]
-    sections = [_section(config, "Strict runs", _overview(config, skipped), headings, rows)]
-    for title, key, kind, text in _TABLES:
-        rows = [[label, *spread_out(summaries, label, config.columns, key, kind)] for label in costs]
-        sections.append(_section(config, title, text, sizes, rows))
+        rows.append(own + spread(label, "strict", "%", "strict"))
+    headings = ["sees", "parameters", "step [ms]", *sizes, "p"]
+    sections = [_section(config, "Strict runs", _overview(config, skipped, explain_p(paired)), headings, rows)]
+    for title, key, kind, measure, text in _TABLES:
+        rows = [[label, *spread(label, key, kind, measure)] for label in costs]
+        sections.append(_section(config, title, text, [*sizes, "p"], rows))
     return sections
 
 
-def _overview(config: CompareConfig, skipped: Mapping[str, str]) -> str:
+def _overview(config: CompareConfig, skipped: Mapping[str, str], comparisons: str) -> str:
     scenario = config.scenario
     guarded = "behind" if scenario.guard else "without"
     parts = [
@@ -219,7 +238,7 @@ def _overview(config: CompareConfig, skipped: Mapping[str, str]) -> str:
     ]
     if skipped:
         parts.append(f"Left out: {'; '.join(f'{label} ({why})' for label, why in skipped.items())}.")
-    return " ".join(parts)
+    return " ".join([*parts, BRACKETS, comparisons]).rstrip()
 
 
 def _section(config: CompareConfig, title: str, text: str, headings: list[str], rows: list[list[str]]) -> Section:

@@ -18,6 +18,7 @@ from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import Grid, measure_in_folder, open_grid, read_labels
+from triform.experiments.paired import MEANING, Row, compare_rows, explain_p, format_p
 from triform.experiments.settings import check_teams, for_team, team_sizes
 from triform.figures.grids import FailedRun, conditions_figure, failures_figure
 from triform.figures.runs import Scene
@@ -25,7 +26,7 @@ from triform.figures.style import save_figure
 from triform.limits import require_at_most
 from triform.report.listener import SILENT, Listener
 from triform.report.page import Section, say_written, spell_command, write_pages
-from triform.report.tables import drop_columns, format_value
+from triform.report.tables import BRACKETS, drop_columns, format_measure
 from triform.simulation import ARENAS, FOOTPRINTS, Footprint
 from triform.types import BoolArray, convert_fields, require
 
@@ -39,7 +40,7 @@ CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 _NAME = "conditions"
 _MOST_DRAWN = 100
 #: Columns of the page that a terminal has no room for.
-_UNSHOWN = ("interval", "median error", "closest")
+_UNSHOWN = ("p success", "drift", "median error", "p error", "closest")
 
 
 @dataclass(frozen=True)
@@ -211,8 +212,12 @@ def run_conditions(config: ConditionsConfig, listener: Listener = SILENT) -> lis
         return config.list_cells({*config.which, *read_labels(path, "condition")})
 
     with open_grid(config.output, _NAME, list_cells) as grid:
-        more, without = {"skipped": grid.skipped}, ("output", "failures")
-        summaries = measure_in_folder(config, _NAME, grid, listener, more, without)
+
+        def more() -> dict[str, Any]:
+            paired = [row.as_json() for rows in compare_values(grid).values() for row in rows]
+            return {"skipped": grid.skipped, "paired": paired}
+
+        summaries = measure_in_folder(config, _NAME, grid, listener, more, ("output", "failures"))
         with listener.progress("drawing", 1):
             failures = failed_runs(grid, config.failures)
             headings: dict[str, str] = {name: sweep.heading for name, sweep in SWEEPS.items()}
@@ -220,24 +225,40 @@ def run_conditions(config: ConditionsConfig, listener: Listener = SILENT) -> lis
             if failures:
                 save_figure(failures_figure(failures), config.output / "failures.png")
         privileged = grid.controller(grid.cells[0]).privileged
-        sections = list_sections(config, summaries, grid.skipped, len(failures), privileged)
-        for section in sections:
-            if section.rows:
-                listener.table(section.title, *drop_columns(section.headings, section.rows, _UNSHOWN))
+        paired = compare_values(grid)
+        sections = list_sections(config, summaries, grid.skipped, len(failures), privileged, paired)
+        tables = [section for section in sections if section.rows]
+        for section in tables:
+            shown = drop_columns(section.headings, section.rows, _UNSHOWN)
+            notes = [explain_p(paired[section.key], meaning=False)]
+            if section is tables[-1]:
+                notes += [BRACKETS, MEANING if any(paired.values()) else ""]
+            listener.table(section.title, *shown, " ".join(filter(None, notes)))
         pages = write_pages(config.output, "Under many conditions", sections, _NAME)
         say_written(listener, config.output, sections, pages)
         return pages
 
 
-#: Heading, key in a summary and format of the columns after value, robots, runs and intervals.
+def compare_values(grid: Grid) -> dict[str, list[Row]]:
+    """Compare the values of every condition with the first one, team size by team size; by condition."""
+    found = {}
+    for condition in dict.fromkeys(cell.labels["condition"] for cell in grid.cells):
+        own = [cell for cell in grid.cells if cell.labels["condition"] == condition]
+        found[condition] = compare_rows(grid, own, ("condition", "label", "robots"))
+    return found
+
+
+#: Heading, key in a summary, format, and measure of a run whose p-value follows, of the columns after the runs.
 _COLUMNS = (
-    ("hold", "strict_hold_mean", "%"),
-    ("strict at", "strict_time_median", "s"),
-    ("drift", "settled_speed_median", "cm/s"),
-    ("median error", "formation_error_median", "%%"),
-    ("closest", "min_distance", "m"),
-    ("overlaps", "collisions", "d"),
-    ("hits", "arena_hits", "d"),
+    ("strict", "strict", "%", "strict"),
+    ("success", "success", "%", "success"),
+    ("hold", "strict_hold_mean", "%", ""),
+    ("strict at", "strict_time_median", "s", ""),
+    ("drift", "settled_speed_median", "cm/s", ""),
+    ("median error", "formation_error_median", "%%", "formation_error"),
+    ("closest", "min_distance", "m", ""),
+    ("overlaps", "collisions", "d", ""),
+    ("hits", "arena_hits", "d", ""),
 )
 
 #: What a condition needs said besides its title.
@@ -258,6 +279,7 @@ def list_sections(
     skipped: Mapping[str, str],
     failures: int,
     privileged: bool,
+    paired: Mapping[str, Sequence[Row]],
 ) -> list[Section]:
     """Return the sections of the page: all conditions in one figure, a table for each, and failed runs.
 
@@ -267,13 +289,14 @@ def list_sections(
         skipped: Cells that could not be run, with the reason.
         failures: How many failed runs are drawn.
         privileged: Whether the controller sees true poses.
+        paired: What ``compare_values`` returned.
     """
     found = {summary["condition"] for summary in summaries}
-    sections = [_overview(config, skipped, privileged)]
+    sections = [_overview(config, skipped, privileged, MEANING if any(paired.values()) else "")]
     for condition in SWEEPS:
         if condition in found:
             own = [summary for summary in summaries if summary["condition"] == condition]
-            sections.append(_condition(config, condition, own))
+            sections.append(_condition(config, condition, own, paired[condition]))
     if failures:
         text = (
             f"The first failed run of {failures} cells with a failed run, one of every condition in turns. Where every "
@@ -285,18 +308,20 @@ def list_sections(
     return sections
 
 
-def _overview(config: ConditionsConfig, skipped: Mapping[str, str], privileged: bool) -> Section:
+def _overview(config: ConditionsConfig, skipped: Mapping[str, str], privileged: bool, meaning: str) -> Section:
     scenario = config.scenario
     parts = [
         f"Controller {config.controller.label}, {config.runs} random starts per value and team size with seed "
         f"{config.seed}, {scenario.duration:g} s each. One condition at a time differs from the profile "
         f"{scenario.profile}, the arena {scenario.arena} and a prescribed distance of {scenario.distance:g} m. Strict: "
         "the run ends in a true triangulation; success: the formation error of the last 5 s is below 10 %. Bars and "
-        "intervals are Wilson's, of 95 %. Hold: mean share of the last 5 s in which a run is strict; strict at: median "
-        "time from which runs are strict to the end; drift: median speed of their robots in the last 5 s; closest: "
-        "smallest distance between two centres; overlaps: runs in which two footprints ever overlapped; hits: runs in "
-        "which one overlapped a wall or pillar."
+        "brackets are Wilson's 95 % intervals. Hold: mean share of the last 5 s in which a run is strict; strict at: "
+        "median time from which runs are strict to the end; drift: median speed of their robots in the last 5 s; "
+        "closest: smallest distance between two centres; overlaps: runs in which two footprints ever overlapped; hits: "
+        "runs in which one overlapped a wall or pillar."
     ]
+    if meaning:
+        parts.append(meaning)
     if privileged:
         parts.append("This controller sees true poses at once: what a LiDAR does to scans does not reach it.")
     if skipped:
@@ -304,22 +329,25 @@ def _overview(config: ConditionsConfig, skipped: Mapping[str, str], privileged: 
     return _section(config.command(), "All conditions", " ".join(parts), ([], []), "conditions.png")
 
 
-def _condition(config: ConditionsConfig, condition: Condition, summaries: Sequence[dict[str, Any]]) -> Section:
-    sweep = SWEEPS[condition]
-    headings = [sweep.heading, "robots", "runs", "strict", "interval", "success", "interval"]
-    if condition == "team-size":
-        headings = headings[1:]
+def _condition(
+    config: ConditionsConfig, condition: Condition, summaries: Sequence[dict[str, Any]], paired: Sequence[Row]
+) -> Section:
+    headings = [SWEEPS[condition].heading, "robots", "runs"]
+    for heading, *_, measure in _COLUMNS:
+        headings += [heading, f"p {heading.split()[-1]}"] if measure and paired else [heading]
     rows = []
     for summary in summaries:
+        key = {name: summary[name] for name in ("condition", "label", "robots")}
         row = [summary["label"], str(summary["robots"]), str(summary["runs"])]
-        for measure in ("strict", "success"):
-            low, high = (format_value(bound, "%") for bound in summary[f"{measure}_interval"])
-            row += [format_value(summary[measure], "%"), f"{low.removesuffix(' %')} to {high}"]
-        row += [format_value(summary[key], kind) for _, key, kind in _COLUMNS]
-        rows.append(row[1:] if condition == "team-size" else row)
-    headings += [heading for heading, _, _ in _COLUMNS]
-    title = condition.replace("-", " ").capitalize()
-    return _section(config.command(condition), title, _note(config, condition), (headings, rows))
+        for _, name, kind, measure in _COLUMNS:
+            row.append(format_measure(summary, name, kind))
+            if measure and paired:
+                row.append(format_p(paired, measure, **key))
+        rows.append(row)
+    if condition == "team-size":
+        headings, rows = headings[1:], [row[1:] for row in rows]
+    text = f"{_note(config, condition)} {explain_p(paired, meaning=False)}".rstrip()
+    return _section(config.command(condition), condition.replace("-", " ").capitalize(), text, (headings, rows))
 
 
 def _note(config: ConditionsConfig, condition: Condition) -> str:

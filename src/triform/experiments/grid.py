@@ -13,14 +13,14 @@ import numpy as np
 
 from triform.control import ControllerSpec
 from triform.engines import Engine, Report
-from triform.evaluation.metrics import RunTable, concatenate, summarise, wilson_interval
+from triform.evaluation.metrics import RunTable, concatenate, summarise
 from triform.evaluation.runs import Execution, by_group, chunks
 from triform.experiments.cell import Cell
 from triform.experiments.settings import digest, flat, warn_of_time
 from triform.geometry.cells import SMALL_TEAM
 from triform.report.listener import SILENT, Listener
 from triform.report.output import own_folder, write_json
-from triform.report.tables import format_value, read_parquet, require_parquet, write_parquet
+from triform.report.tables import format_measure, read_parquet, require_parquet, write_parquet
 from triform.simulation import sample_starts
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, TriformError
@@ -151,7 +151,7 @@ class Grid:
             cell.scenario.warm_up(poses, self.controller(cell))
 
     def summaries(self) -> list[dict[str, Any]]:
-        """Return the labels, measures, Wilson intervals and settings of every cell that is done."""
+        """Return the labels, measures and settings of every cell that is done."""
         return [self._summary(cell) for cell in self.done]
 
     def _take(self, cell: Cell) -> None:
@@ -184,9 +184,6 @@ class Grid:
             **cell.labels,
             "robots": cell.robots,
             **summarise(table),
-            **{
-                f"{rate}_interval": wilson_interval(int(table[rate].sum()), cell.runs) for rate in ("strict", "success")
-            },
             "collisions": int(table["collision"].sum()),
             "arena_hits": int(table["hit_arena"].sum()),
             "settings": self._settings[cell],
@@ -256,7 +253,7 @@ def measure_in_folder(
     name: str,
     grid: Grid,
     listener: Listener,
-    more: Mapping[str, Any],
+    more: Callable[[], Mapping[str, Any]],
     without: Collection[str] = ("output",),
     on_summaries: Callable[[list[dict[str, Any]]], object] = len,
 ) -> list[dict[str, Any]]:
@@ -267,7 +264,7 @@ def measure_in_folder(
         name: Name of the file, without its ending.
         grid: The cells.
         listener: Hears of progress.
-        more: What the file holds besides options and summaries.
+        more: Returns what the file holds besides options and summaries.
         without: Options that say nothing about results.
         on_summaries: Called with the summaries after they are written.
 
@@ -279,7 +276,7 @@ def measure_in_folder(
     def keep(seconds: float) -> None:
         summaries[:] = grid.summaries()
         options = {"config": flat(config, without), "wall_seconds": round(seconds, 3)}
-        write_json(config.output / f"{name}.json", {**options, **more, "cells": summaries})
+        write_json(config.output / f"{name}.json", {**options, **more(), "cells": summaries})
         on_summaries(summaries)
 
     measure_grid(grid, config.execution, keep, listener)
@@ -295,8 +292,8 @@ def spread_out(
     summaries: Sequence[dict[str, Any]], label: str, columns: Sequence[tuple[str, int]], key: str, kind: str
 ) -> list[str]:
     """Return one measure of a row, formatted, for every column (profile, robots); a dash for what is not done."""
-    own = {(each["profile"], each["robots"]): each[key] for each in summaries if each["label"] == label}
-    return [format_value(own.get(column), kind) for column in columns]
+    own = {(each["profile"], each["robots"]): each for each in summaries if each["label"] == label}
+    return [format_measure(own[column], key, kind) if column in own else "-" for column in columns]
 
 
 def _kind(cell: Cell) -> Any:

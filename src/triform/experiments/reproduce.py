@@ -31,10 +31,12 @@ from triform.report.output import own_folder, write_json
 from triform.report.page import Section, read_sections, spell_command, write_pages
 from triform.report.results import Evaluation
 from triform.report.tables import (
+    BRACKETS,
     LEGEND,
     WIDE,
     drop_columns,
     event_rows,
+    format_measure,
     format_value,
     legend,
     require_parquet,
@@ -223,7 +225,7 @@ class _Reproduction:
             f"{self.config.controller.label}. The paper gives one range of median errors and one converge time "
             "for all sizes. Row 4* sets the simulated hardware profile beside the paper's runs of "
             "four real robots. Errors and converge times are medians. Sensed counts only pairs within 2 d*; strict is "
-            "the share of runs that end in a true triangulation; the paper reports neither."
+            f"the share of runs that end in a true triangulation; the paper reports neither. {BRACKETS}"
         )
         published = {
             "success": paper.SUCCESS,
@@ -260,8 +262,8 @@ class _Reproduction:
         text = (
             f"{self.config.runs} runs per team size. Boxes span the quartiles with the median inside, whiskers "
             "reach 1.5 times as far, dots are the runs beyond. Orange-red: the paper's range of median errors, its "
-            "median converge time and its success. Runs that never converge have no converge time, so panel b shows "
-            f"the n others only. {LEGEND}"
+            "median converge time and its success; bars are Wilson's 95 % intervals of ours. Runs that never converge "
+            f"have no converge time, so panel b shows the n others only. {LEGEND}"
         )
         title, figure = "Fig. 4: formation error and converge time", figure_4(evaluation.runs, self._label)
         return Result(title, text, summary_rows(evaluation.results), evaluation.runs, evaluation.as_json(), figure)
@@ -283,7 +285,7 @@ class _Reproduction:
             f"{self.config.scenario.duration - EVENT_TIME:g} s and "
             "stays there; linked: right after the change the pairs within 2 d* still connect everybody; sensed: back, "
             "over pairs within 2 d*; strict: the run ends in a true triangulation; recovery time: median, at least "
-            f"{WINDOW:g} s as it is the time of a mean over {WINDOW:g} s."
+            f"{WINDOW:g} s as it is the time of a mean over {WINDOW:g} s. {BRACKETS}"
         )
         values = {"config": self.described, "results": summaries}
         figure = figure_5([above, below], self.scene)
@@ -362,7 +364,7 @@ class _Reproduction:
 
 def _row(robots: str, success: str, error: str, time: str, ours: dict[str, Any]) -> list[str]:
     """Return a row of Table I: what the paper reports, each measure followed by ours."""
-    rates = [format_value(ours[rate], "%") for rate in ("success", "success_sensed", "strict")]
+    rates = [format_measure(ours, rate, "%") for rate in ("success", "success_sensed", "strict")]
     our_error, our_time = (
         format_value(ours["formation_error_median"], "%%"),
         format_value(ours["converge_time_median"], "s"),

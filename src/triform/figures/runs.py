@@ -16,6 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from triform.evaluation import paper
 from triform.evaluation.metrics import TOLERANCE, RunTable, select, trailing_mean
 from triform.evaluation.rollout import Trajectory
+from triform.evaluation.statistics import wilson_interval
 from triform.figures.style import (
     BLUE,
     GREEN,
@@ -33,7 +34,7 @@ from triform.figures.style import (
 )
 from triform.geometry import edge_error, gabriel_graph
 from triform.simulation import Arena, Footprint
-from triform.types import SENSING_RANGE, FloatArray, IntArray
+from triform.types import SENSING_RANGE, BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ def figure_4(runs: RunTable, controller: str) -> Figure:
         times.axhline(paper.CONVERGE_TIME, color=VERMILLION, linewidth=1.6, alpha=0.6)
         times.set_ylabel("converge time [s]")
         times.set_title("b  converge time", loc="left")
-        _success(success, sizes, [float(100 * table["success"].mean()) for table in tables])
+        _success(success, sizes, [table["success"] for table in tables])
         for axes in (errors, times, success):
             axes.set_xlabel("robots")
             axes.grid(visible=False, axis="x")
@@ -293,14 +294,17 @@ def draw_boxes(axes: Axes, sizes: list[int], columns: list[FloatArray]) -> None:
     axes.set_ylim(bottom=0)
 
 
-def _success(axes: Axes, sizes: list[int], rates: list[float]) -> None:
+def _success(axes: Axes, sizes: list[int], successes: list[BoolArray]) -> None:
+    rates = [100 * float(success.mean()) for success in successes]
+    intervals = 100 * np.array([wilson_interval(int(success.sum()), len(success)) for success in successes]).T
+    bars = np.maximum(0.0, [rates - intervals[0], intervals[1] - rates])
     published = [100 * paper.SUCCESS.get(robots, np.nan) for robots in sizes]
     positions = np.arange(len(sizes))
     axes.plot(positions, published, "D", color=VERMILLION, ms=8, mfc="white", mew=1.3)
-    axes.plot(positions, rates, "o", color=BLUE, ms=4.5)
+    axes.errorbar(positions, rates, yerr=bars, fmt="o", color=BLUE, ms=4.5, elinewidth=0.8, zorder=3)
     axes.set_xticks(positions, [str(robots) for robots in sizes])
     axes.set_xlim(-0.6, len(sizes) - 0.4)
-    low = np.nanmin([*rates, *published, 90])
+    low = np.nanmin([*intervals[0], *published, 90])
     axes.set_ylim(max(0, low - 5), 101.5)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     axes.set_ylabel("success [%]")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from triform.evaluation.metrics import RunTable, concatenate, quantile, select, summarise
+from triform.evaluation.metrics import RunTable, concatenate, select, summarise, summarise_median, summarise_rate
 from triform.report.listener import Listener
 from triform.report.output import prepare_file, write_json
 from triform.report.tables import WIDE, event_rows, legend, require_parquet, summary_rows, write_parquet
@@ -113,20 +113,20 @@ def summarise_event(table: RunTable) -> dict[str, Any]:
     """
     connected = table["connected_start"].astype(np.bool_)
     whole, together = summarise(table), summarise(select(table, connected))
+    # Under the name of the event, what holds of its end.
+    again = {"recovered": (whole, "success"), "recovered_sensed": (whole, "success_sensed")}
+    again |= {"recovered_connected": (together, "success"), "strict_connected": (together, "strict")}
     return {
         "robots": int(table["robots_before"][0]),
         "robots_before": int(table["robots_before"][0]),
         "robots_after": int(table["robots"][0]),
         **whole,
-        "formed_before": float(table["formed_before"].mean()),
-        "recovered": whole["success"],
-        "recovered_sensed": whole["success_sensed"],
-        "connected": float(connected.mean()),
-        "recovered_connected": together["success"],
-        "recovery_time_median": quantile(table["recovery_time"], 0.5),
-        "strict_before": float(table["strict_before"].mean()),
-        "strict_connected": together["strict"],
-        "strict_recovery_time_median": quantile(table["strict_recovery_time"], 0.5),
+        **summarise_rate("formed_before", table["formed_before"]),
+        **summarise_rate("strict_before", table["strict_before"]),
+        **summarise_rate("connected", connected),
+        **{f"{name}{end}": of[f"{key}{end}"] for name, (of, key) in again.items() for end in ("", "_interval")},
+        **summarise_median("recovery_time", table["recovery_time"]),
+        **summarise_median("strict_recovery_time", table["strict_recovery_time"]),
     }
 
 

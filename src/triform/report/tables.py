@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +77,7 @@ _COLUMNS = (
 )
 
 #: Columns that a terminal of 80 characters has no room for.
-WIDE = ("strict sensed", "hold", "95 % error", "compact")
+WIDE = ("strict sensed", "hold", "drift", "95 % error", "compact")
 
 #: What the headings of tables mean.
 MEANINGS = {
@@ -102,10 +102,14 @@ MEANINGS = {
 }
 
 
+#: What the brackets behind rates hold.
+BRACKETS = "Brackets hold Wilson's 95 % interval of a rate."
+
+
 def legend(headings: Sequence[str]) -> str:
-    """Return a sentence that says what the headings of a table mean; those that speak for themselves are left out."""
+    """Return what the headings of a table and the brackets behind its rates mean, but not what speaks for itself."""
     known = "; ".join(f"{heading}: {MEANINGS[heading]}" for heading in headings if heading in MEANINGS)
-    return f"{known[:1].upper()}{known[1:]}." if known else ""
+    return f"{known[:1].upper()}{known[1:]}. {BRACKETS}" if known else ""
 
 
 #: Factor, decimals and unit of every kind of measure.
@@ -127,10 +131,19 @@ def format_value(value: Any, kind: str) -> str:
     return f"{factor * value:{decimals}}{unit}"
 
 
+def format_measure(summary: Mapping[str, Any], key: str, kind: str) -> str:
+    """Format a measure of a summary; a rate with its interval, such as ``97 % (92-99)``."""
+    text = format_value(summary[key], kind)
+    if kind != "%" or text == "-" or f"{key}_interval" not in summary:
+        return text
+    low, high = summary[f"{key}_interval"]
+    return f"{text} ({100 * low:.0f}-{100 * high:.0f})"
+
+
 def summary_rows(summaries: Sequence[dict[str, Any]], without: Sequence[str] = ()) -> tuple[list[str], list[list[str]]]:
     """Return headings and formatted rows of summaries, one row per summary, but not the headings in ``without``."""
     headings = [heading for heading, _, _ in _COLUMNS]
-    rows = [[format_value(summary[key], kind) for _, key, kind in _COLUMNS] for summary in summaries]
+    rows = [[format_measure(summary, key, kind) for _, key, kind in _COLUMNS] for summary in summaries]
     return drop_columns(headings, rows, without)
 
 
@@ -156,7 +169,7 @@ def event_rows(summaries: Sequence[dict[str, Any]]) -> tuple[list[str], list[lis
     rows = [
         [
             f"{summary['robots_before']} → {summary['robots_after']}",
-            *(format_value(summary[key], kind) for _, key, kind in _EVENT_COLUMNS),
+            *(format_measure(summary, key, kind) for _, key, kind in _EVENT_COLUMNS),
         ]
         for summary in summaries
     ]
