@@ -212,9 +212,7 @@ def test_it_describes_the_triangulating_law():
 def test_the_triangulating_law_has_room_for_many_robots():
     spacing = np.linspace(-1.8, 1.8, 10)
     poses = np.array([(x, y, 0) for x in spacing for y in spacing])[None]
-    command = ScanPipeline(law=LAW, footprint=(0.05, 0.04)).command(
-        look(poses, Footprint.box(0.05, 0.04))
-    )
+    command = ScanPipeline(law=LAW, footprint=(0.05, 0.04)).command(look(poses, Footprint.box(0.05, 0.04)))
     assert np.isfinite(command).all()
     assert np.linalg.norm(command, axis=-1).max() <= 1 + 1e-12
 

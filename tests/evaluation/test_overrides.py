@@ -18,7 +18,7 @@ from triform.types import ConfigurationError
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_without_conditions_a_robot_is_its_profile(profile):
-    assert Scenario(profile=profile).robot == PROFILES[profile]
+    assert Scenario(profile=profile).robot == PROFILES[profile].seeing(3.0)
 
 
 @settings(deadline=None)
