@@ -347,7 +347,7 @@ class View:
         Args:
             ranges: Ranges [m] of one robot, shape (R,), of a team, (N, R), or of teams, (B, N, R); REP 117 for what is
                 no range.
-            config: Angles and limits of the scan; a full turn from -pi counter-clockwise up to 2 m if omitted.
+            config: Angles and limits of the scan; a full turn from -pi counter-clockwise up to 3 m if omitted.
             time: Time since the start of the run [s].
             intensities: How bright every return is, in the LiDAR's own scale, of the shape of the ranges; not known if
                 omitted.
@@ -369,7 +369,7 @@ class View:
         )
         scans = Scan(
             batch,
-            ScanConfig(rays=batch.shape[-1]) if config is None else config,
+            ScanConfig(rays=batch.shape[-1], range_max=SIGHT) if config is None else config,
             None if bright is None else bright.reshape(batch.shape),
         )
         return cls(scans, np.ones(batch.shape[:2], dtype=np.bool_), time)

@@ -269,7 +269,7 @@ _NOTES: dict[Condition, str] = {
     "acceleration": "The ideal profile has no limit of its own.",
     "lag": "Time constant with which the base's velocity follows the command.",
     "team-size": "Teams of more than 13 robots get three times the duration. A team of two can never be strict.",
-    "distance": "A robot sees as far as 2 d*, and starts grow with d*.",
+    "distance": "What robots see grows with d*, and so do starts.",
 }
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from triform.control import POLICY, ControllerSpec, control_steps
+from triform.control import ControllerSpec, control_steps
 from triform.engines import Engine
 from triform.evaluation import paper
 from triform.evaluation.events import EVENT_TIME, Event, EventKind
@@ -44,11 +44,13 @@ from triform.report.tables import (
     write_parquet,
 )
 from triform.threads import limit_threads
-from triform.types import ConfigurationError, Controller, PrivilegedView, convert_fields, require
+from triform.types import SENSING_RANGE, ConfigurationError, Controller, PrivilegedView, convert_fields, require
 
 What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "all"]
 KEYS = [key for key in get_args(What) if key != "all"]
 SIZES = tuple(paper.SUCCESS)
+#: Looks as far as the paper's robots.
+NEAR_POLICY = ControllerSpec("policy", "near")
 #: Team sizes of Fig. 2.
 SNAPSHOT_SIZES = (9, 13)
 #: Team size of the table of Fig. 5, and of the shown teams to which a robot is added and from which one is removed.
@@ -81,11 +83,11 @@ class ReproduceConfig:
     """
 
     what: What = "all"
-    controller: ControllerSpec = POLICY
+    controller: ControllerSpec = NEAR_POLICY
     output: Path = Path("results")
     runs: int = 100
     seed: int = 7
-    scenario: Scenario = field(default_factory=Scenario)
+    scenario: Scenario = field(default_factory=partial(Scenario, sight=SENSING_RANGE))
     execution: Execution = field(default_factory=Execution)
 
     def __post_init__(self) -> None:
