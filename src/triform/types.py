@@ -321,8 +321,9 @@ class View:
         time: Time since the start of the run [s].
         noise: Two standard normal numbers of every robot's own seeded generator, drawn anew every ``NOISE_PERIOD``, for
             controllers that noise robots at random, shape (B, N, 2); smaller in proportion for holonomic bases that
-            are slower than 0.5 m/s. For differential bases they last longer, keep their direction in the world, and
-            have one size at all speeds. ``None`` where the team has no such generator.
+            are slower than 0.5 m/s. They last longer for robots that know late, and for differential bases, for which
+            they also keep their direction in the world and have one size at all speeds. ``None`` where the team has no
+            such generator.
         odometry: Wheel odometry: the pose of every robot in its own body frame at the moment that its scan shows
             [m, m, rad], shape (B, N, 3); of where it would come to rest if told to stop now, which for a base that
             stops at once is where it is. ``None`` where the team has no odometry.

@@ -335,7 +335,7 @@ def test_it_describes_itself_and_what_it_guards():
     assert described["name"] == "scan-pipeline"
     assert described["guard"] == {
         "footprint": {"shape": "circle", "length": 0.3, "width": 0.3},
-        "min_gap": 0.05, "reaction": 0.4, "max_speed": None, "max_axis_speed": 0.1,
+        "min_gap": 0.05, "reaction": 0.4, "max_speed": None, "max_axis_speed": 0.1, "pace": 1.0,
     }  # fmt: skip
     assert SafetyFilter(Expert()).privileged
 
@@ -350,7 +350,15 @@ def test_the_number_of_threads_does_not_matter(monkeypatch):
 
 @pytest.mark.parametrize(
     "bad",
-    [{"min_gap": -0.1}, {"reaction": 0}, {"max_speed": np.nan}, {"max_axis_speed": 0}, {"footprint": (0.3, -1)}],
+    [
+        {"min_gap": -0.1},
+        {"reaction": 0},
+        {"max_speed": np.nan},
+        {"max_axis_speed": 0},
+        {"pace": 0},
+        {"pace": 1.1},
+        {"footprint": (0.3, -1)},
+    ],
 )
 def test_impossible_guards_are_refused(bad):
     with pytest.raises(ConfigurationError, match=next(iter(bad))):

@@ -105,7 +105,7 @@ class Controlled:
         kind = f"a {robot.drive.kind} base" + (f" as in the profile {robot.name!r}" if robot.name else "")
         log.info(
             f"driving {kind} at {1 / robot.control_period:g} Hz; the safety filter's reaction is "
-            f"{self._plan.settings.filter.reaction:.2f} s"
+            f"{self._plan.settings.filter.reaction:.2f} s, its pace {self._plan.settings.filter.pace:.2g}"
         )
         if not self._wheels.enabled:
             log.info("the robot is disabled: its commands are zero until ~/enable or the parameter enabled says true")
@@ -154,6 +154,7 @@ class Controlled:
             self._seed,
             robot.drive,
             placement=settings.placement,
+            pace=settings.filter.pace,
             odometry=robot.odometry,
             scan_timeout=given["scan_timeout"],
             on_sent=note,

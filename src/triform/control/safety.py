@@ -89,6 +89,8 @@ class SafetySettings:
         max_speed: The drive shortens faster commands to this speed [m/s].
         max_axis_speed: Then it clips both axes by themselves to this speed [m/s], which may turn a command. Commands
             are judged as the drive will carry them out.
+        pace: Share of every command that is driven, because of how late robots know: see ``triform.simulation.pace``.
+            A differential base turns more slowly, too.
         arcs: What a differential base does with a command, see ``rolling_arcs``; ``None`` for a holonomic one.
     """
 
@@ -97,6 +99,7 @@ class SafetySettings:
     reaction: float = 0.4
     max_speed: float = math.inf
     max_axis_speed: float = math.inf
+    pace: float = 1.0
     arcs: Arcs | None = None
 
     def __post_init__(self) -> None:
@@ -106,6 +109,7 @@ class SafetySettings:
         require(0 < self.reaction < math.inf, f"reaction is {self.reaction} s; it must be positive and finite")
         require(self.max_speed > 0, f"max_speed is {self.max_speed} m/s; it must be positive")
         require(self.max_axis_speed > 0, f"max_axis_speed is {self.max_axis_speed} m/s; it must be positive")
+        require(0 < self.pace <= 1, f"pace is {self.pace}; it is a share above 0 and at most 1")
 
     @property
     def rate(self) -> float:
@@ -116,9 +120,10 @@ class SafetySettings:
 class SafetyFilter(Generic[ViewIn]):
     """Any controller, its commands limited by what each robot's own scan shows: a controller for the same views.
 
-    A command that is allowed is passed on to the bit. A robot whose scan holds no measurement stands still. So does
-    one that has seen no return within the first ``reaction`` of a run, because its first scan may not be there yet;
-    a robot that joins a running team is not known to the filter, and drives blind until its first scan.
+    A command that is allowed is passed on to the bit; of robots that know late, a share of it, their ``pace``. A robot
+    whose scan holds no measurement stands still. So does one that has seen no return within the first ``reaction`` of a
+    run, because its first scan may not be there yet; a robot that joins a running team is not known to the filter, and
+    drives blind until its first scan.
 
     A command that turns is limited for the circle around the footprint instead, so that no corner sweeps into what
     stands outside it, and the robot does not turn while a return lies within. That circle may reach over what stands
@@ -192,6 +197,7 @@ def limit_by_scans(view: View, wanted: FloatArray, guard: SafetySettings) -> Flo
         guard.min_gap if arcs is None else guard.min_gap + circumradius - min(body.half_length, body.half_width),
         guard.max_speed,
         guard.max_axis_speed,
+        guard.pace,
     )
     early = view.time < guard.reaction
     flat = commands.reshape(-1, 3)

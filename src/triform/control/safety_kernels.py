@@ -27,6 +27,7 @@ class SafetyRules(NamedTuple):
         min_gap: Gap that robots keep [m].
         max_speed: The drive shortens faster commands to this speed [m/s].
         max_axis_speed: Then it clips both axes by themselves [m/s].
+        pace: Share of a command that is driven.
     """
 
     directions: Any
@@ -38,6 +39,7 @@ class SafetyRules(NamedTuple):
     min_gap: float
     max_speed: float
     max_axis_speed: float
+    pace: float
 
 
 class Arcs(NamedTuple):
@@ -187,7 +189,7 @@ def _find_planes(ranges, guard, body, speed, planes):
 
 @kernel
 def filter_robots(ranges, active, guard, early, commands, first, last):
-    """Limit the commands of the robots ``first <= m < last`` in place.
+    """Slow down to their pace and limit the commands of the robots ``first <= m < last`` in place.
 
     Args:
         ranges: Newest scans [m], shape (M, R).
@@ -201,6 +203,8 @@ def filter_robots(ranges, active, guard, early, commands, first, last):
     circle = Body(guard.circumradius, guard.circumradius, True)
     planes = np.empty((ranges.shape[1] + 4, 3))
     for m in range(first, last):
+        for part in range(3):
+            commands[m, part] *= guard.pace
         turning = commands[m, 2] != 0.0
         u_x, u_y = _driven(commands[m, 0], commands[m, 1], guard)
         speed = np.sqrt(u_x * u_x + u_y * u_y)
@@ -252,7 +256,7 @@ def _slowest_of_returns(ranges, guard, arcs, resting, along, turn):
 
 @kernel
 def filter_rolling(ranges, active, guard, arcs, early, resting, commands, first, last):
-    """Turn commands of differential bases into a speed and a turn rate, in place, and limit the speed.
+    """Turn commands of differential bases into a speed and a turn rate at their pace, in place, and limit the speed.
 
     Args:
         ranges: Newest scans [m], shape (M, R).
@@ -267,6 +271,7 @@ def filter_rolling(ranges, active, guard, arcs, early, resting, commands, first,
     """
     for m in range(first, last):
         along, turn = roll(commands[m, 0], commands[m, 1], commands[m, 2], arcs.wheels)
+        along, turn = guard.pace * along, guard.pace * turn
         if active[m] and (along != 0.0 or turn != 0.0):
             if _is_blind(ranges[m], early):
                 along, turn = 0.0, 0.0

@@ -34,7 +34,7 @@ from triform.robots.real import RealRobot, Step
 from triform.robots.recorder import Recorder
 from triform.robots.robomaster import USB_ADDRESS, WIFI_ADDRESS, RoboMaster
 from triform.signals import StopSignals
-from triform.simulation import Drive, Footprint, Mounting, Placement, Profile, get_profile, read_sectors
+from triform.simulation import Drive, Footprint, Mounting, Placement, Profile, get_profile, pace, read_sectors
 from triform.threads import limit_threads
 from triform.types import SENSING_RANGE, Controller, Scan, ScanConfig, TriformError, View, convert_fields, require
 
@@ -212,6 +212,14 @@ class DriveConfig:
         """Speeds that commands are cut to."""
         return Drive(max_axis_speed=self.speed, max_turn_rate=self.max_turn_rate, lag=self.kind.drive.lag)
 
+    @property
+    def driven(self) -> Profile:
+        """The robot as it is driven: its profile with its own LiDAR, outline, rate and limits of speed."""
+        lidar = replace(self.kind.lidar, period=self.model.period, rolling=True)
+        return replace(
+            self.kind, footprint=self.shape, lidar=lidar, drive=self.limits, control_period=self.control_period
+        )
+
     def make_controller(self, clock: Callable[[], object]) -> Controller[View]:
         """Make the controller, guarded if so asked.
 
@@ -231,11 +239,7 @@ class DriveConfig:
         controller = from_scans_alone(controller, self.controller.label, self.threshold)
         if not self.guard:
             return controller
-        lidar = replace(self.kind.lidar, period=self.model.period, rolling=True)
-        robot = replace(
-            self.kind, footprint=self.shape, lidar=lidar, drive=self.limits, control_period=self.control_period
-        )
-        return SafetyFilter(controller, safety_settings(robot))
+        return SafetyFilter(controller, safety_settings(self.driven))
 
 
 class DriveListener(Protocol):
@@ -318,6 +322,7 @@ def run_drive(config: DriveConfig, listener: DriveListener) -> None:
                     seed,
                     config.limits,
                     placement=config.placement,
+                    pace=pace(config.driven),
                     odometry=config.odometry,
                     on_sent=tell,
                     warn=listener.warn,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from triform.control import IntensityThreshold, SafetySettings, reaction_time, rolling_arcs
-from triform.simulation import Profile
+from triform.simulation import Profile, pace
 from triform.types import Controller, TriformError, View
 
 
@@ -23,7 +23,11 @@ def safety_settings(robot: Profile, reaction: float | None = None) -> SafetySett
     if reaction is None:
         reaction = reaction_time(period, lidar.period, robot.latency, lidar.rolling, drive.braking_lag)
     settings = SafetySettings(
-        robot.footprint.size, reaction=reaction, max_speed=drive.max_speed, max_axis_speed=drive.max_axis_speed
+        robot.footprint.size,
+        reaction=reaction,
+        max_speed=drive.max_speed,
+        max_axis_speed=drive.max_axis_speed,
+        pace=pace(robot),
     )
     if drive.wheels is None:
         return settings

@@ -127,6 +127,7 @@ class RealRobot:
         limits: Drive,
         *,
         placement: Placement | None = None,
+        pace: float = 1.0,
         odometry: bool = True,
         scan_timeout: float = 0.5,
         on_sent: Callable[[Step], None] | None = None,
@@ -141,6 +142,7 @@ class RealRobot:
             seed: Of the exploration noise; robots of one team need different ones.
             limits: Commands are cut to these speeds.
             placement: Brings turns of the LiDAR into the frame of the base; they are there if omitted.
+            pace: Share of full speed that its safety filter drives; its noise lasts longer in proportion.
             odometry: Whether a view says how far the robot has come since its scan.
             scan_timeout: An older scan is no scan [s].
             on_sent: Called when a command has been sent, before the robot waits for its next tick.
@@ -155,7 +157,7 @@ class RealRobot:
         self._placement = placement or Placement(lidar.scan)
         self._sight = Sight()
         self.control_period = control_period
-        self._limits = limits
+        self._limits, self._pace = limits, pace
         self._keys = noise_keys([np.random.SeedSequence(seed)], 1)
         self._odometry = odometry
         self._timeout = scan_timeout
@@ -194,7 +196,7 @@ class RealRobot:
             scans=Scan(ranges[None, None], self._placement.scan, None if bright is None else bright[None, None]),
             active=_ONE,
             time=now - self._started,
-            noise=noise_in_body(self._keys, self._limits, now - self._started, heading),
+            noise=noise_in_body(self._keys, self._limits, now - self._started, heading, pace=self._pace),
             odometry=moved,
         )
         return self._view

@@ -8,6 +8,7 @@ from triform.simulation.composition import Composition, read_kinds
 from triform.simulation.kinematics import integrate, limit_twists, steer
 from triform.simulation.lidar import angle_offsets, apply_noise, cast_rolling, cast_scans, cast_world, noise_sigma
 from triform.simulation.mounting import Mounting, Placement, read_sectors
+from triform.simulation.pace import pace
 from triform.simulation.profile_file import profile_toml
 from triform.simulation.profiles import (
     FOOTPRINTS,
@@ -60,6 +61,7 @@ __all__ = [
     "load_starts",
     "make_world",
     "noise_sigma",
+    "pace",
     "profile_toml",
     "read_kinds",
     "read_sectors",

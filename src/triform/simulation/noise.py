@@ -62,12 +62,18 @@ def noise_scale(drive: Drive) -> float:
     return min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_NOISE_SPEED)
 
 
-def noise_period(drive: Drive) -> float:
-    """How long a robot with this base holds its noise [s]: ``NOISE_PERIOD`` after the longest turn to its direction."""
+def noise_period(drive: Drive, pace: float = 1.0) -> float:
+    """How long a robot holds its noise [s]: ``NOISE_PERIOD`` after the longest turn to its direction, both at its pace.
+
+    Args:
+        drive: Its base.
+        pace: Share of full speed at which it drives, see ``triform.simulation.pace``: what is driven at a share of the
+            speed for longer in proportion leads equally far.
+    """
     wheels = drive.wheels
     if wheels is None:
-        return NOISE_PERIOD
-    return NOISE_PERIOD + (0.5 if wheels.reverses else 1.0) * math.pi / wheels.max_turn_rate
+        return NOISE_PERIOD / pace
+    return (NOISE_PERIOD + (0.5 if wheels.reverses else 1.0) * math.pi / wheels.max_turn_rate) / pace
 
 
 def noise_keys(seeds: Sequence[np.random.SeedSequence], worlds: int) -> NDArray[np.uint64]:
@@ -94,7 +100,7 @@ def exploration_noise(keys: NDArray[np.uint64], robots: int, time: float, period
 
 
 def noise_in_body(
-    keys: NDArray[np.uint64], drive: Drive, time: float, headings: FloatArray, first: int = 0
+    keys: NDArray[np.uint64], drive: Drive, time: float, headings: FloatArray, first: int = 0, pace: float = 1.0
 ) -> FloatArray:
     """Exploration noise as a view offers it: in the robots' own frames, of the size that their base is fit for.
 
@@ -106,11 +112,12 @@ def noise_in_body(
         time: Time since the start [s].
         headings: By odometry, from any beginning [rad], shape (B, N).
         first: Index of the first of these robots in its team.
+        pace: Of these robots, see ``noise_period``.
 
     Returns:
         Shape (B, N, 2).
     """
-    team = exploration_noise(keys, first + headings.shape[1], time, noise_period(drive))
+    team = exploration_noise(keys, first + headings.shape[1], time, noise_period(drive, pace))
     noise = noise_scale(drive) * team[:, first:]
     if not drive.is_differential:
         return noise

@@ -17,6 +17,7 @@ from triform.simulation.mounting import Mounting, Placement
 from triform.simulation.moving_ray_kernels import HIT_NOTHING
 from triform.simulation.noise import noise_in_body, noise_keys
 from triform.simulation.odometry import halfway, relative_poses, resting_poses
+from triform.simulation.pace import pace
 from triform.simulation.profiles import Profile
 from triform.types import (
     BoolArray,
@@ -91,7 +92,7 @@ class SensorSuite:
         self._levels = (arena or Arena.open()).levels(lidar.brightness)
         self._seeds = _sequences(seeds, len(poses), self._noisy or self.is_bright)
         self._rngs: dict[tuple[int, ...], np.random.Generator] = {}
-        self._noise_keys = noise_keys(self._seeds, len(poses))
+        self._noise_keys, self._pace = noise_keys(self._seeds, len(poses)), pace(profile)
         self._turn = 0
         self._next_ray = 0
         # Until there is a scan, one number stands for all rays.
@@ -209,12 +210,13 @@ class SensorSuite:
         drive = self._profile.drive
         resting = resting_poses(poses, velocities, drive)
         odometry = relative_poses(resting, self._shown, active) if self._profile.odometry else None
+        headings = np.where(active, resting[..., 2], 0.0)
         return PrivilegedView(
             scans=Scan(self._newest, self._shown_scan, self._newest_bright),
             active=active.copy(),
             time=time,
             poses=poses.copy(),
-            noise=noise_in_body(self._noise_keys, drive, time, np.where(active, resting[..., 2], 0.0), self._first),
+            noise=noise_in_body(self._noise_keys, drive, time, headings, self._first, self._pace),
             odometry=odometry,
         )
 
