@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from shapely.geometry import LineString, Point
 
+from tests.formations import hangs_by_its_words
 from triform.control import Triangulating, TriangulatingLaw, triangulating
 from triform.control.triangulating_kernels import (
     LAW_EDGE_FEATURES,
@@ -63,7 +64,7 @@ def law_by_its_words(others: np.ndarray, law: TriangulatingLaw) -> tuple[np.ndar
     linked = gabriel(points, law.sight)
     radii = np.linalg.norm(points, axis=1)
     terms = np.zeros((len(points), LAW_EDGE_FEATURES))
-    away, bridge, largest, smallest = np.zeros(2), False, 0.0, 0.0
+    away, bridge, in_triangle, largest, smallest = np.zeros(2), False, False, 0.0, 0.0
     for j in range(1, len(points)):
         unit, strain = points[j] / radii[j], radii[j] - 1.0
         shares = bool((linked[0] & linked[j]).any())
@@ -71,13 +72,14 @@ def law_by_its_words(others: np.ndarray, law: TriangulatingLaw) -> tuple[np.ndar
         across = 0.0
         if linked[0, j]:
             bridge |= not shares and len(points) > 2
-            yields = shares and strain >= law.yield_strain
+            in_triangle |= shares
+            yields = shares and strain >= law.yield_strain and linked[j].sum() > law.firm_degree
             pull = law.yield_strain - law.yield_slope * (strain - law.yield_strain) if yields else strain
             along += law.gain * pull + law.far_gain * max(radii[j] - law.far_range, 0.0)
             across = law.odd_gain * strain
             largest, smallest = max(largest, abs(strain)), min(smallest, strain)
         else:
-            along += law.gain * min(strain, 0.0)
+            along += law.gain * min(strain, 0.0) + law.hinge_pull * hangs_by_its_words(points, linked, law.sight, j)
             away += unit
         terms[j] = [*(along * unit + across * np.array([-unit[1], unit[0]])), linked[0, j], shares]
     lengths = np.linalg.norm(points[:, None] - points[None], axis=2)
@@ -90,8 +92,9 @@ def law_by_its_words(others: np.ndarray, law: TriangulatingLaw) -> tuple[np.ndar
     strained = ramp(largest, law.strain_limit, law.strain_width)
     noise = law.strain_push * strained
     if bridge:
-        velocity = velocity + law.bridge_pull * away / (np.linalg.norm(away) + 1e-9)
         noise = law.bridge_push
+        if not in_triangle:
+            velocity = velocity + law.bridge_pull * away / (np.linalg.norm(away) + 1e-9)
     return velocity, noise, terms[1:], np.array([bridge, strained, loose, *compaction])
 
 

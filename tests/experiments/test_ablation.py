@@ -96,7 +96,7 @@ def test_every_term_is_left_out_by_itself():
         names |= changed
     assert names == {
         "contact_gain", "yield_strain", "far_gain", "odd_gain", "compaction_speed", "bridge_pull", "bridge_push",
-        "strain_push", "sight",
+        "hinge_pull", "firm_degree", "strain_push", "sight",
     }  # fmt: skip
 
 

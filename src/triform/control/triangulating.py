@@ -42,8 +42,10 @@ class TriangulatingLaw:
         loose_width: Over which looseness grows from 0 to 1.
         squeeze_limit: Compression of its shortest edge at which the compaction of a robot begins to fade.
         squeeze_width: Over which it fades to nothing.
-        bridge_pull: Towards the others in sight while the robot has a bridge.
+        bridge_pull: Towards the others in sight while the robot has a bridge and no triangle.
         bridge_push: Amplitude of the exploration noise while the robot has a bridge.
+        hinge_pull: Towards every robot that hangs from one of its neighbours by a bridge, as far as it sees.
+        firm_degree: Edges to robots with at most as many neighbours do not yield.
         strain_push: Amplitude of the exploration noise while an edge is too long or too short.
         strain_limit: Strain at which that noise begins.
         strain_width: Over which it grows to its full amplitude.
@@ -65,6 +67,8 @@ class TriangulatingLaw:
     squeeze_width: float = 0.08
     bridge_pull: float = 0.35
     bridge_push: float = 0.3
+    hinge_pull: float = 0.5
+    firm_degree: float = 2.0
     strain_push: float = 0.3
     strain_limit: float = 0.09
     strain_width: float = 0.03

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from triform.control.hinge_kernels import hangs
 from triform.kernels import kernel
 
 #: Features of a robot's surroundings, see ``LawWorkspace``.
@@ -43,6 +44,8 @@ class LawConstants(NamedTuple):
     squeeze_width: float
     bridge_pull: float
     bridge_push: float
+    hinge_pull: float
+    firm_degree: float
     strain_push: float
     strain_limit: float
     strain_width: float
@@ -150,7 +153,7 @@ def triangulate(count, law, workspace):
     for k in range(count):
         radius[k] = np.sqrt(x[k] * x[k] + y[k] * y[k])
     v_x = v_y = away_x = away_y = largest = smallest = 0.0
-    bridge = False
+    bridge = in_triangle = False
     for j in range(1, count):
         if radius[j] == 0.0:
             # Robots in one place have no direction from each other.
@@ -169,8 +172,13 @@ def triangulate(count, law, workspace):
         if linked[0, j]:
             # Two robots cannot make a triangle: they keep their distance and nothing more.
             bridge = bridge or (not shared and count > 2)
-            # Bridges do not yield: they are all that holds two parts of a team together.
-            if strain < law.yield_strain or not shared:
+            in_triangle = in_triangle or shared
+            degree = 0
+            for k in range(count):
+                degree += linked[j, k]
+            # Bridges do not yield: they are all that holds two parts of a team together. Nor do edges to a robot with
+            # few neighbours: it may be one that cannot come.
+            if strain < law.yield_strain or not shared or degree <= law.firm_degree:
                 along += law.gain * strain
             else:
                 along += law.gain * (law.yield_strain - law.yield_slope * (strain - law.yield_strain))
@@ -182,6 +190,8 @@ def triangulate(count, law, workspace):
         else:
             if strain < 0.0:
                 along += law.gain * strain
+            if hangs(x, y, count, linked, law.sight, j):
+                along += law.hinge_pull
             away_x += u_x
             away_y += u_y
         edge_features[j, 0] = along * u_x - across * u_y
@@ -204,10 +214,12 @@ def triangulate(count, law, workspace):
         v_y += law.compaction_speed * features[4]
     push = law.strain_push * strained
     if bridge:
+        push = law.bridge_push
+    # A robot with a triangle stays with it: it leaves the hinge to the robots around it.
+    if bridge and not in_triangle:
         length = np.sqrt(away_x * away_x + away_y * away_y) + 1e-9
         v_x += law.bridge_pull * away_x / length
         v_y += law.bridge_pull * away_y / length
-        push = law.bridge_push
     return v_x, v_y, push
 
 

@@ -82,6 +82,8 @@ VARIANTS: dict[str, Variant] = {
     "no compaction": _without("compaction_speed"),
     "no bridge pull": _without("bridge_pull"),
     "no bridge push": _without("bridge_push"),
+    "no hinge pull": _without("hinge_pull"),
+    "no firm edges": _without("firm_degree"),
     "no strain push": _without("strain_push"),
     "no pushes": _without("bridge_push", "strain_push"),
     "sight 2.0": Variant("sight 2.0 d*", {"sight": 2.0}),
