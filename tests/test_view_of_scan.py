@@ -23,7 +23,7 @@ def test_ranges_of_any_number_type_arrive_as_they_are(data: st.DataObject, kind:
     batch = (1,) * (3 - len(shape)) + shape
     assert view.scans.ranges.dtype == np.float64
     np.testing.assert_array_equal(view.scans.ranges, ranges.astype(np.float64).reshape(batch))
-    assert view.scans.config == ScanConfig(rays=shape[-1])
+    assert view.scans.config == ScanConfig(rays=shape[-1], range_max=3.0)
     assert (view.active.shape, bool(view.active.all()), view.time) == (batch[:2], True, 2.5)
     view.scans.ranges[:] = 0.0
     np.testing.assert_array_equal(ranges, given_ranges)

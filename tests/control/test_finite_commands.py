@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from triform.control import CONTROLLERS, SafetyFilter, make_controller
 from triform.types import Controller, PrivilegedView, Scan, ScanConfig, TriformError
 
-SCAN = ScanConfig(rays=450)
+SCAN = ScanConfig(rays=450, range_max=3.0)
 ROBOTS = 3
 odd = st.sampled_from([np.nan, np.inf, -np.inf, 1e308, -1e308, 1e200, 1e5, 0.0, 5e-324]) | st.floats()
 places = st.lists(st.tuples(st.integers(0, ROBOTS * SCAN.rays - 1), odd), max_size=6)

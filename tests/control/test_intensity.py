@@ -68,7 +68,7 @@ def test_the_policy_does_not_see_a_dim_pillar_and_a_bright_one_it_does(
     bearing: float, distance: float, radius: float
 ) -> None:
     """Without tape the map is empty: the command is that of a robot alone."""
-    config = ScanConfig()
+    config = ScanConfig(range_max=3.0)
     pillar = np.array([[distance * np.cos(bearing), distance * np.sin(bearing), radius]])
     ranges = cast_scans(np.zeros((1, 1, 3)), np.ones((1, 1), bool), ROBOMASTER_EP, Arena(pillars=pillar), config)
     levels = np.where(np.isfinite(ranges), 200.0, 0.0)

@@ -14,7 +14,7 @@ from triform.policy import NetworkConfig, PackedMaps, PolicyRuntime, PolicySpec,
 from triform.policy.export import export_policy
 from triform.policy.vit import VisionTransformer
 from triform.policy.weights import save_policy
-from triform.simulation import IDEAL, Footprint, Profile, World, get_profile, sample_starts
+from triform.simulation import IDEAL, Footprint, Profile, World, sample_starts
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, FloatArray, MapConfig, Scan, ScanConfig, TriformError, View
 
@@ -28,6 +28,11 @@ SMALL = PolicySpec(
 @pytest.fixture(scope="module", params=WEIGHTS)
 def policy(request: pytest.FixtureRequest) -> LearnedPolicy:
     return LearnedPolicy(PolicyRuntime(shipped_weights()[request.param]))
+
+
+def ideal_for(policy: LearnedPolicy) -> Profile:
+    """Ideal robots whose LiDAR reaches as far as a policy looks."""
+    return IDEAL.seeing(read_spec(shipped_weights()[policy.description["weights"]]).scan.range_max)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +83,7 @@ def test_weights_are_shipped() -> None:
 
 
 def test_every_robot_is_driven_by_its_own_scan_alone(policy: LearnedPolicy) -> None:
-    view = World(sample_starts(6, 3, seed=1), get_profile("ideal")).observe()
+    view = World(sample_starts(6, 3, seed=1), ideal_for(policy)).observe()
     together = policy.command(view)
     assert together.shape == (3, 6, 3)
     for b in range(3):
@@ -92,7 +97,7 @@ def test_every_robot_is_driven_by_its_own_scan_alone(policy: LearnedPolicy) -> N
 
 
 def test_commands_are_the_same_with_any_number_of_threads(policy: LearnedPolicy) -> None:
-    view = World(sample_starts(7, 90, seed=1), get_profile("ideal")).observe()
+    view = World(sample_starts(7, 90, seed=1), ideal_for(policy)).observe()
     with limit_threads(1):
         alone = policy.command(view)
     with limit_threads(3):
@@ -100,7 +105,7 @@ def test_commands_are_the_same_with_any_number_of_threads(policy: LearnedPolicy)
 
 
 def test_algorithm_2_is_scan_map_network(policy: LearnedPolicy) -> None:
-    view = replace(World(sample_starts(5, 1, seed=2), get_profile("ideal")).observe(), noise=None)
+    view = replace(World(sample_starts(5, 1, seed=2), ideal_for(policy)).observe(), noise=None)
     runtime = PolicyRuntime(shipped_weights()[policy.description["weights"]])
     maps = occupancy_maps(view.scans, runtime.spec.map)[0]
     answers = runtime.commands(pack(maps, runtime.spec.network.patch, runtime.spec.network.attention))[:, :3]
@@ -110,11 +115,11 @@ def test_algorithm_2_is_scan_map_network(policy: LearnedPolicy) -> None:
 
 def test_ranges_of_any_value_give_a_defined_command(policy: LearnedPolicy) -> None:
     """What is no range in (0, range_max] counts as no return."""
-    view = World(sample_starts(5, 1, seed=4), get_profile("ideal")).observe()
+    view = World(sample_starts(5, 1, seed=4), ideal_for(policy)).observe()
     ranges = view.scans.ranges.copy()
     expected = policy.command(replace(view, noise=None, odometry=None))
     nothing = ~np.isfinite(ranges)
-    for value in (np.nan, -np.inf, -1.0, 0.0, 2.5, np.inf):
+    for value in (np.nan, -np.inf, -1.0, 0.0, 3.5, np.inf):
         spoilt = np.where(nothing, value, ranges)
         commands = policy.command(View(Scan(spoilt, view.scans.config), view.active, 0.0))
         np.testing.assert_array_equal(commands, expected)
@@ -141,7 +146,7 @@ def test_scans_of_another_form_are_refused(ranges: np.ndarray, says: str) -> Non
 
 
 def test_inactive_robots_get_zero_and_a_lone_robot_stands_still(policy: LearnedPolicy) -> None:
-    scans = Scan(np.full((1, 2, 450), np.inf), ScanConfig())
+    scans = Scan(np.full((1, 2, 450), np.inf), ideal_for(policy).lidar.scan)
     commands = policy.command(View(scans, np.array([[True, False]]), 0.0))
     assert not commands[0, 1].any()
     assert np.linalg.norm(commands[0, 0]) < 0.2
@@ -149,7 +154,7 @@ def test_inactive_robots_get_zero_and_a_lone_robot_stands_still(policy: LearnedP
 
 def test_two_robots_take_the_prescribed_distance(policy: LearnedPolicy) -> None:
     poses = np.array([[[0.0, 0, 0.3], [1.6, 0.2, -2.0]], [[0.0, 0, 1.0], [0.6, 0.1, 2.0]]])
-    world = World(poses, get_profile("ideal"))
+    world = World(poses, ideal_for(policy))
     for _ in range(200):
         world.apply(policy.command(world.observe()), 0.1)
     distance = np.linalg.norm(world.poses[:, 0, :2] - world.poses[:, 1, :2], axis=1)
@@ -158,7 +163,11 @@ def test_two_robots_take_the_prescribed_distance(policy: LearnedPolicy) -> None:
 
 
 def test_other_settings_are_refused(policy: LearnedPolicy, small: PolicyRuntime) -> None:
-    for config, says in ((ScanConfig(rays=90), "90 rays"), (ScanConfig(range_max=1.9), "sensing range of 2 m")):
+    reach = ideal_for(policy).lidar.scan.range_max
+    for config, says in (
+        (ScanConfig(rays=90, range_max=reach), "90 rays"),
+        (ScanConfig(range_max=reach - 0.1), f"sensing range of {reach:g} m"),
+    ):
         view = View(Scan(np.zeros((1, 1, config.rays)), config), np.ones((1, 1), dtype=bool), 0.0)
         with pytest.raises(ConfigurationError, match=says):
             policy.command(view)
@@ -174,11 +183,8 @@ def test_other_settings_are_refused(policy: LearnedPolicy, small: PolicyRuntime)
 
 def test_of_a_longer_scan_the_range_of_the_training_is_used(policy: LearnedPolicy) -> None:
     poses = sample_starts(6, 2, seed=5)
-    short, long = (
-        World(poses, replace(IDEAL, lidar=replace(IDEAL.lidar, scan=ScanConfig(range_max=reach)))).observe()
-        for reach in (2.0, 8.0)
-    )
-    assert ((long.scans.ranges > 2.0) & np.isfinite(long.scans.ranges)).any()
+    short, long = (World(poses, each).observe() for each in (ideal_for(policy), IDEAL.seeing(8.0)))
+    assert ((long.scans.ranges > short.scans.config.range_max) & np.isfinite(long.scans.ranges)).any()
     np.testing.assert_array_equal(policy.command(long), policy.command(short))
 
 
@@ -280,7 +286,7 @@ def test_every_controller_commands_a_world(name: str) -> None:
         with pytest.raises(ConfigurationError, match="there is no policy"):
             make_controller(name)
         return
-    view = World(sample_starts(4, 2, seed=3), get_profile("ideal")).observe()
+    view = World(sample_starts(4, 2, seed=3), IDEAL.seeing(3.0)).observe()
     controller = make_controller(name)
     commands = controller.command(view)
     assert commands.shape == (2, 4, 3)

@@ -61,8 +61,9 @@ def test_each_condition_replaces_its_own_value_and_no_other(profile, changes, di
 
 def test_commands_keep_step_with_the_scans_where_they_did():
     ideal, hardware = (scenario(profile=name, scan_rate=20.0).robot for name in ("ideal", "hardware"))
-    assert ideal == replace(IDEAL, lidar=replace(IDEAL.lidar, period=0.05), control_period=0.05)
-    assert hardware == replace(HARDWARE, lidar=replace(HARDWARE.lidar, period=0.05))
+    own, other = IDEAL.seeing(3.0), HARDWARE.seeing(3.0)
+    assert ideal == replace(own, lidar=replace(own.lidar, period=0.05), control_period=0.05)
+    assert hardware == replace(other, lidar=replace(other.lidar, period=0.05))
 
 
 @pytest.mark.parametrize(
@@ -75,7 +76,7 @@ def test_commands_keep_step_with_the_scans_where_they_did():
         ({"speed_limit": 0.0}, "speed_limit is 0.0 m/s"),
         ({"acceleration": 0.0}, r"acceleration is 0.0 m/s\^2"),
         ({"lag": -0.1}, "lag is -0.1 s"),
-        ({"distance": 4.5}, "at most 4 m, because a robot uses 2 d"),
+        ({"distance": 4.5}, "at most 4 m, because a robot needs 2 d"),
     ],
 )
 def test_bad_conditions_are_refused(changes, message):
