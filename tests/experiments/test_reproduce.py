@@ -71,7 +71,8 @@ def test_one_result_joins_those_already_there(tmp_path, listener):
     assert "## Fig. 3" in markdown
     assert "## Fig. 4" in markdown
     assert (
-        f"triform reproduce fig4 --controller expert --output {tmp_path} --runs 1 --seed 7 --duration 6.0" in markdown
+        f"triform reproduce fig4 --controller expert --output {tmp_path} --runs 1 --seed 7 --sight 3.0 --duration 6.0"
+        in markdown
     )
 
 
@@ -111,7 +112,7 @@ def test_the_command_on_the_page_gives_the_same_settings(key, changes, monkeypat
 
 
 def test_defaults_are_not_said():
-    assert ReproduceConfig().command("fig3") == "triform reproduce fig3 --controller policy --runs 100 --seed 7"
+    assert ReproduceConfig().command("fig3") == "triform reproduce fig3 --controller policy:near --runs 100 --seed 7"
 
 
 @pytest.mark.parametrize("formed", [True, False])

@@ -182,6 +182,8 @@ def test_robots_that_stop_at_once_rest_where_they_are() -> None:
 @pytest.mark.parametrize("slow", [{"lag": 0.15}, {"max_acceleration": 1.5}])
 def test_a_team_whose_wheels_do_not_stop_at_once_settles(slow: dict[str, float]) -> None:
     """Steered from where robots are now, instead of where they would rest, these teams swing for ever."""
-    world = World(sample_starts(9, 4, 3), replace(IDEAL, drive=replace(IDEAL.drive, **slow)), seeds=range(4))
+    world = World(
+        sample_starts(9, 4, 3), replace(IDEAL.seeing(3.0), drive=replace(IDEAL.drive, **slow)), seeds=range(4)
+    )
     drive_team(world, make_controller("policy"), 30.0)
     assert np.median(np.linalg.norm(world.velocities[..., :2], axis=-1)) < 0.005

@@ -230,7 +230,7 @@ def test_robots_join_and_leave() -> None:
 
 def test_pushes_and_odometry_follow_robots_that_come_and_go() -> None:
     world = World(sample_starts(3, 2, 8), replace(ROLLING, latency=0.3), seeds=[1, 2])
-    reference = World(sample_starts(3, 1, 8), IDEAL, seeds=[1])
+    reference = World(sample_starts(3, 1, 8), replace(ROLLING, latency=0.3), seeds=[1])
     commands = np.zeros((2, 3, 3))
     commands[..., 0] = 0.2
     for tick in range(12):

@@ -7,7 +7,7 @@ import html
 import json
 import shlex
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -56,14 +56,18 @@ def spell_command(words: list[str], config: Any, never: Collection[str] = ("outp
     return shlex.join([*words, *_spell(config, never)])
 
 
-def _spell(config: Any, never: Collection[str]) -> Iterator[str]:
+def _spell(config: Any, never: Collection[str], usual: Any = None) -> Iterator[str]:
+    """Yield the words of options; ``usual`` holds their defaults if they are not those of their class."""
     for option in fields(config):
         value = getattr(config, option.name)
         if option.name in (*never, "execution"):
             continue
+        default = option.default if usual is None else getattr(usual, option.name)
         if is_dataclass(value) and not hasattr(value, "label"):
-            yield from _spell(value, never)
-        elif option.name in _ALWAYS_SAID or value != option.default:
+            if usual is None and option.default_factory is not MISSING:
+                default = option.default_factory()
+            yield from _spell(value, never, default)
+        elif option.name in _ALWAYS_SAID or value != default:
             name = option.name.replace("_", "-")
             if isinstance(value, bool):
                 yield f"--{name}" if value else f"--no-{name}"
