@@ -183,7 +183,7 @@ def test_the_map_is_the_policys_and_odometry_moves_it(ros: Ros) -> None:
     robot = Robot(ros, TwistStamped)
     ros.node.create_subscription(OccupancyGrid, "map", maps.append, 10)
     odometry = ros.node.create_publisher(Odometry, "odom", 10)
-    controller = ros.start("controller", publish_map=True, use_odom=True, scan_timeout=5.0)
+    controller = ros.start("controller", weights="near", publish_map=True, use_odom=True, scan_timeout=5.0)
     scan = scan_message(scene())
     robot.send_until(scan, moving=True)
     ros.until(lambda: bool(maps), "the map")

@@ -74,7 +74,7 @@ def test_the_defaults_of_a_profile_make_its_robot_and_its_filter(name: str) -> N
     """What the parameters can say comes back; a scenario's filter is the controller's."""
     from triform_ros.settings import Settings
 
-    profile, given_values = get_profile(name), defaults(name)
+    profile, given_values = get_profile(name).seeing(3.0), defaults(name)
     robot = Settings(given_values).robot
     turn_rate = profile.drive.max_turn_rate if profile.drive.is_differential else 1.0
     assert robot == replace(
