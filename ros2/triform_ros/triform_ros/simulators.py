@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from triform.simulation import IDEAL, Arena, Mounting, Profile, World, get_arena, get_profile, world_seeds
 from triform.simulators.gazebo import GazeboServer
-from triform.types import SENSING_RANGE, FloatArray, RangeArray, require
+from triform.types import SIGHT, FloatArray, RangeArray, require
 
 SIMULATORS = ("world", "gazebo")
 
@@ -107,7 +107,7 @@ def bridge_profile(name: str, rate: float, distance: float) -> Profile:
     period = 1 / rate
     profile = get_profile(name) if name else replace(IDEAL, lidar=replace(IDEAL.lidar, period=period))
     time_step = period / math.ceil(period / profile.time_step - 1e-9)
-    return replace(profile, control_period=period, time_step=time_step).seeing(SENSING_RANGE * distance)
+    return replace(profile, control_period=period, time_step=time_step).seeing(SIGHT * distance)
 
 
 def open_simulator(
