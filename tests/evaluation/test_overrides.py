@@ -76,6 +76,8 @@ def test_commands_keep_step_with_the_scans_where_they_did():
         ({"speed_limit": 0.0}, "speed_limit is 0.0 m/s"),
         ({"acceleration": 0.0}, r"acceleration is 0.0 m/s\^2"),
         ({"lag": -0.1}, "lag is -0.1 s"),
+        ({"sight": 1.9}, r"sight is 1.9 d\*; it must be finite and at least 2 d\*"),
+        ({"sight": float("inf")}, r"sight is inf d\*"),
         ({"distance": 4.5}, "at most 4 m, because a robot needs 2 d"),
     ],
 )

@@ -118,10 +118,10 @@ def test_processes_share_a_mini_batch_of_teams(count: int) -> None:
 
 
 def test_baselines_learn_from_the_same_as_the_policy() -> None:
-    policy = PRESETS["default"]
+    policy = PRESETS["near"]
     for name in ("cnn", "gnn", "dense"):
         preset = PRESETS[name]
-        same = replace(preset, preset="default", network=policy.network, learning_rate=policy.learning_rate)
+        same = replace(preset, preset="near", network=policy.network, learning_rate=policy.learning_rate)
         assert same == policy
         assert preset.preset == name
         assert preset.network.outputs == 4

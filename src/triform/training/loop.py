@@ -170,15 +170,15 @@ def train(
     require(producers >= 1, f"producers is {producers}; it must be at least 1")
     with joined(target) as processes, matrix_products(config.precision), ExitStack() as held:
         source = open_source(config, data)
+        torch.manual_seed(config.seed)
+        learner = Learner(config)
+        if config.start is not None:
+            begin_from(weights_folder(config.start), learner.policy, config.map)
         if processes.first:
             make_folder(out)
             held.enter_context(exclusive(out))
             _check_same_run(out, config, source.checksum, resume)
         processes.wait()
-        torch.manual_seed(config.seed)
-        learner = Learner(config)
-        if config.start is not None:
-            begin_from(weights_folder(config.start), learner.policy, config.map)
         learner.to(target)
         parameters = FlatParameters(learner)
         optimizer = make_optimizer(config, parameters)
