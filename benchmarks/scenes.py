@@ -22,7 +22,7 @@ def start_poses(robots: int, worlds: int) -> FloatArray:
 
 
 def closed_loop_scans(robots: int, settings: Settings) -> Scan:
-    """Scans during runs of the shipped default policy, shape (moments, robots, R).
+    """Scans during runs of the shipped policy `near`, shape (moments, robots, R).
 
     Two runs of 40 s, looked at every 2 s: from random starts to finished formations.
     """
@@ -37,7 +37,7 @@ def closed_loop_scans(robots: int, settings: Settings) -> Scan:
             seen.append(view.scans.ranges.copy())
         step += 1
 
-    drive(world, make_controller("policy", threads=1), duration, look)
+    drive(world, make_controller("policy:near", threads=1), duration, look)
     return Scan(np.concatenate(seen), world.profile.lidar.scan)
 
 

@@ -26,12 +26,12 @@ def measure(settings: Settings, watch: Watch) -> Iterator[Row]:
     what = _TINY if settings.quick else _TABLE_I
     sizes, runs, duration = what
     rounds = 1 if settings.quick else 3
-    weights = {"large": 240.0, "default": 90.0}
+    weights = {"large": 240.0, "near": 90.0}
     seconds = {name: np.empty(rounds) for name in weights}
     with TemporaryDirectory() as folder:
         results = {name: Path(folder) / f"{name}.json" for name in weights}
         # Compiles the kernels, which is done once in the life of an installation.
-        _evaluate("default", _TINY, results["default"], settings.cores)
+        _evaluate("near", _TINY, results["near"], settings.cores)
         for turn in range(rounds):
             for k, name in enumerate(weights):
                 watch(f"triform evaluate --weights {name}", turn * len(weights) + k, rounds * len(weights))

@@ -32,7 +32,7 @@ _PACKED, _EAGER, _ONNX = "packed", "dense in PyTorch", "dense in ONNX Runtime"
 
 def measure(settings: Settings, watch: Watch) -> Iterator[Row]:
     """One robot and thirteen robots, on one thread."""
-    folders = {name: shipped_weights()[name] for name in ("large", "default")}
+    folders = {name: shipped_weights()[name] for name in ("large", "near")}
     dense = {name: dense_network(folder) for name, folder in folders.items()}
     with TemporaryDirectory() as room:
         folders[_EIGHT_BITS] = Path(room) / "int8"
@@ -64,8 +64,8 @@ def _rows(case: str, seconds: dict[str, FloatArray], least: dict[str, FloatArray
         (f"large, {_PACKED}", f"large, {_EAGER}", 20),
         (f"large, {_PACKED}", f"large, {_ONNX}", None),
         (f"{_EIGHT_BITS}, {_PACKED}", f"large, {_EAGER}", None),
-        (f"default, {_PACKED}", f"large, {_EAGER}", 60 if case == "one robot" else None),
-        (f"default, {_PACKED}", f"default, {_EAGER}", None),
+        (f"near, {_PACKED}", f"large, {_EAGER}", 60 if case == "one robot" else None),
+        (f"near, {_PACKED}", f"near, {_EAGER}", None),
     ):
         note = f"{tokens:.1f} of 100 patches are occupied on average. Both sides begin with their patches cut out."
         if own in least:

@@ -28,7 +28,7 @@ def measure(settings: Settings, watch: Watch) -> Iterator[Row]:
         for name, make, note in (
             ("expert", _expert, "Gabriel graph and springs, `expert-sensed`."),
             ("sensing", _sensing, "450 rays each; beyond the caches, the scans go out to memory."),
-            ("policy `default`", _policy, "Scan to command: Algorithm 3, packing and the network."),
+            ("policy `near`", _policy, "Scan to command: Algorithm 3, packing and the network."),
             ("World.apply", _applying, "0.1 s: ten steps with their contacts, and a scan."),
         ):
             what = f"{name}, time of a robot's step, 1 thread"
@@ -56,7 +56,7 @@ def _sensing(world: World) -> Callable[[], object]:
 
 
 def _policy(world: World) -> Callable[[], object]:
-    policy, view = LearnedPolicy(PolicyRuntime(shipped_weights()["default"], threads=1)), world.observe()
+    policy, view = LearnedPolicy(PolicyRuntime(shipped_weights()["near"], threads=1)), world.observe()
     return lambda: policy.command(view)
 
 

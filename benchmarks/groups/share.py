@@ -23,7 +23,7 @@ def measure(settings: Settings, watch: Watch) -> Iterator[Row]:
     """Both shipped policies, for one robot, a team and many teams."""
     limits = products(threads=1)
     names = [side.name for side in limits]
-    for weights, aim in (("large", Aim(">=", 50.0)), ("default", None)):
+    for weights, aim in (("large", Aim(">=", 50.0)), ("near", None)):
         runtime = PolicyRuntime(shipped_weights()[weights], threads=1)
         network = vit_network(runtime.spec.network)
         for case, inputs in _inputs(settings, network.patch).items():

@@ -27,7 +27,7 @@ def measure(settings: Settings, watch: Watch) -> Iterator[Row]:
     steps = 1000 if settings.quick else 20_000
     views = _views(settings)
     with limit_threads(1):
-        for weights in ("large", "default"):
+        for weights in ("large", "near"):
             policy = LearnedPolicy(PolicyRuntime(shipped_weights()[weights], threads=1))
             what = f"scan to command, one robot, 1 thread, `{weights}`"
             taken, idle = _step_times(policy, views, steps, watch, what)
