@@ -141,6 +141,7 @@ class TrainConfig:
         scenes = replace(
             self.scenes,
             footprint=robot.footprint,
+            rays=(),
             noise=max([self.scenes.noise, *noise]),
             dropout=max(self.scenes.dropout, lidar.dropout),
         )
