@@ -169,7 +169,7 @@ def test_robots_that_push_each_other_are_solid():
 
 
 def test_a_team_of_turtlebots_forms_and_stands():
-    scenario = Scenario(profile="turtlebot4", duration=30.0, simulator="mujoco", base="differential")
+    scenario = Scenario(profile="turtlebot4", duration=60.0, simulator="mujoco", base="differential")
     _, table = scenario.run(scenario.sample_starts(3, 2, 7))
     assert table["success"].all()
     assert not table["collision"].any()
