@@ -1,6 +1,6 @@
 """Hinges that a robot sees open, compiled: who hangs from one of its neighbours by an edge without a triangle.
 
-Lengths are in units of the prescribed distance d*. In doubt nobody hangs, so that no robot pulls at a formation whose
+Lengths are in units of the prescribed distance d*. In doubt no robot hangs, so that none pulls at a formation whose
 other robots it does not see.
 """
 

@@ -25,7 +25,7 @@ from triform.types import Body, FloatArray, IntArray, MapArray, MapConfig, ScanC
 
 #: Robots that a view tells of, at most; any others are left out.
 SEEN = 40
-#: Robots whose centres are farther than this beyond the range of the LiDAR show nothing and hide nobody [d*].
+#: Robots whose centres are farther than this beyond the range of the LiDAR neither show nor hide a robot [d*].
 _BEYOND_RANGE = 0.8
 _ATTEMPTS = 10_000
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -187,7 +188,7 @@ class DriveConfig:
             usual.blind_sectors + read_sectors(" ".join(self.blind_sector)),
         )
 
-    @property
+    @cached_property
     def scan(self) -> ScanConfig:
         """Shape of a turn: of what its LiDAR sees, the robot uses what its controller looks at."""
         return self.model.scan_config(min(sight_of(self.controller) * self.distance, self.model.range_max))
