@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from triform.simulation import World, get_profile
 from triform.training import PRESETS, Progress, TrainConfig, batches, dagger, train
 from triform.training.batches import SceneSource
 from triform.training.dagger import Rollouts, learner_states, teacher_states
+from triform.training.precision import matrix_products
 from triform.types import ConfigurationError, TriformError
 
 TEACHER = (Rollouts(3, 2, 2.0), Rollouts(4, 1, 3.0))
@@ -192,6 +194,21 @@ def test_learner_states_hang_on_the_policy_and_the_round() -> None:
     later = learner_states(policies[0], spec, 1, 2, LEARNER)
     assert not np.array_equal(teams(later)[0], teams(first)[0])
     assert [len(team) for team in teams(first)] == [3] * 5 + [4] * 10
+
+
+def test_the_learner_drives_in_float32_while_products_are_rounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    export = dagger.export_policy
+
+    def watched(*given: Any) -> Any:
+        found.append(torch.get_float32_matmul_precision())
+        return export(*given)
+
+    monkeypatch.setattr(dagger, "export_policy", watched)
+    with matrix_products("medium"):
+        learner_states(VisionTransformer(TINY.network), TINY.spec(), 1, 1, LEARNER)
+        assert torch.get_float32_matmul_precision() == "medium"
+    assert found == ["highest"]
 
 
 def test_rounds_of_no_steps_do_no_harm(tmp_path: Path) -> None:

@@ -16,15 +16,15 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from triform.policy.ragged import attend, attend_backward
+from triform.policy.ragged import attend, attend_backward, attention_scores
 
 
 class Rows:
     """Which packed tokens attend to each other: the patches of a map and its class token.
 
-    On the CPU, maps of different lengths go through kernels that need no padding. Elsewhere, and where all maps are
-    equally long, PyTorch's attention works on M rows of L slots; slot 0 of a row is the class token, and rows shorter
-    than the longest end in slots that are masked.
+    On the CPU, maps of different lengths go through kernels that need no padding, and so does all learning, because
+    their gradients take half the time of PyTorch's. Elsewhere PyTorch's attention works on M rows of L slots; slot 0 of
+    a row is the class token, and rows shorter than the longest end in slots that are masked.
     """
 
     def __init__(self, counts: Tensor, device: torch.device) -> None:
@@ -32,7 +32,8 @@ class Rows:
         self.maps = counts.shape[0]
         self._length = int(counts.max()) + 1 if self.maps else 1
         self._even = self.maps == 0 or int(counts.min()) + 1 == self._length
-        self._lists = _token_lists(counts.numpy()) if device.type == "cpu" and not self._even else None
+        kernels = device.type == "cpu" and (not self._even or torch.is_grad_enabled())
+        self._lists = _token_lists(counts.numpy()) if kernels else None
         if self._lists is None:
             self._lay_out(counts, device)
 
@@ -95,6 +96,16 @@ def _array(x: Tensor) -> np.ndarray[Any, Any]:
     return x.detach().contiguous().numpy()
 
 
+def _mix(q: Any, k: Any, v: Any, layout: tuple[Any, ...], size: int, out: Any) -> Any:
+    """Add attention to ``out`` and return its ``size`` weights, flat; arguments are those of ``attend_backward``."""
+    q_rows, q_first, k_rows, k_first, heads, k_head, v_head, scale = layout
+    weights = torch.empty(size, dtype=torch.from_numpy(q).dtype).numpy()
+    attention_scores(q, k, q_rows, q_first, k_rows, k_first, heads, k_head, scale, weights)
+    np.exp(weights, out=weights)
+    attend(v, q_rows, q_first, k_rows, k_first, heads, v_head, weights, out)
+    return weights
+
+
 class _SelfAttention(torch.autograd.Function):
     """``Rows.attend`` on the CPU: queries, keys and values side by side, shape (K + M, 3 * heads, D / heads)."""
 
@@ -104,10 +115,9 @@ class _SelfAttention(torch.autograd.Function):
         # Under autocast they may come in reduced precision.
         x = _array(qkv.float() if qkv.dtype == torch.bfloat16 else qkv)
         lengths = np.diff(first)
-        weights = np.empty(heads * int(lengths @ lengths), dtype=x.dtype)
         out = torch.zeros(x.shape[0], heads, x.shape[2], dtype=torch.from_numpy(x).dtype)
         layout = (tokens, first, tokens, first, heads, heads, 2 * heads, x.dtype.type(x.shape[2] ** -0.5))
-        attend(x, x, x, *layout, out.numpy(), weights)
+        weights = _mix(x, x, x, layout, heads * int(lengths @ lengths), out.numpy())
         ctx.kept, ctx.dtype = (x, layout, weights), qkv.dtype
         return out
 
@@ -130,10 +140,9 @@ class _Reading(torch.autograd.Function):
         keys = _array(tokens.float() if tokens.dtype == torch.bfloat16 else tokens).reshape(-1, 1, dim)
         queries = _array(probes.to(torch.from_numpy(keys).dtype)).reshape(-1, 1, dim)
         query_lists = np.arange(maps * count), np.arange(maps + 1) * count
-        weights = np.empty(count * int(first[-1]), dtype=keys.dtype)
         out = torch.zeros(queries.shape, dtype=torch.from_numpy(queries).dtype)
         layout = (*query_lists, lists, first, 1, 0, 0, keys.dtype.type(scale))
-        attend(queries, keys, keys, *layout, out.numpy(), weights)
+        weights = _mix(queries, keys, keys, layout, count * int(first[-1]), out.numpy())
         ctx.kept, ctx.dtypes = (queries, keys, layout, weights), (probes.dtype, tokens.dtype)
         return out.view(maps, count, dim)
 

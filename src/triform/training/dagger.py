@@ -23,6 +23,7 @@ from triform.policy.export import export_policy
 from triform.policy.network import PolicyNetwork
 from triform.policy.weights import save_policy
 from triform.simulation import World, get_profile, sample_starts
+from triform.training.precision import matrix_products
 from triform.training.presets import TrainConfig
 from triform.training.processes import Processes
 from triform.types import SENSING_RANGE, Controller, FloatArray, PrivilegedView
@@ -118,7 +119,9 @@ def learner_states(
     with tempfile.TemporaryDirectory(prefix="triform-learner-") as folder:
         save_policy(Path(folder), policy, spec)
         rng = np.random.default_rng(seed)
-        export_policy(Path(folder), fresh_inputs(rng, 64, spec))
+        # Robots compute in float32, whatever the training rounds.
+        with matrix_products("float32"):
+            export_policy(Path(folder), fresh_inputs(rng, 64, spec))
         controller: Controller[PrivilegedView]
         if isinstance(spec.network, GnnConfig):
             controller = GnnController(GnnRuntime(Path(folder)))
