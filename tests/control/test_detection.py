@@ -16,9 +16,10 @@ from triform.control.detection import ROBOMASTER_EP_SIZE, detect_robots, most_ro
 from triform.control.footprint_fit import improve_pose
 from triform.control.footprint_geometry import mean_depth, mean_half_width, ray_interval, surface_residual
 from triform.geometry import gabriel_graph
+from triform.geometry.footprint import ROBOMASTER_EP, Footprint
 from triform.simulation.arena import Arena
 from triform.simulation.lidar import apply_noise, cast_scans
-from triform.simulation.profiles import ROBOMASTER_EP, Footprint, LidarConfig, constant_noise
+from triform.simulation.profiles import LidarConfig, constant_noise
 from triform.simulation.spawning import sample_starts
 from triform.types import ConfigurationError, FloatArray, Scan, ScanConfig
 
@@ -107,7 +108,7 @@ def test_gauss_newton_finds_the_pose_of_two_clean_sides():
     angles = scan.config.angles[hit]
     points = scan.ranges[hit, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     pose = truth + [0.03, -0.03, 0.1]
-    improve_pose(points, len(points), np.full((2, 2), np.nan), pose, (A, B, False), 30)
+    improve_pose(points, len(points), np.full((2, 2), np.nan), pose, (A, B, False), 0.0, 30)
     np.testing.assert_allclose(pose, truth, atol=1e-6)
 
 
@@ -137,9 +138,9 @@ def scenes(robots: int, runs: int, sigma: float, footprint: Footprint = ROBOMAST
     return Scan(ranges, CONFIG), body, gabriel_graph(placed[..., :2], max_range=1.9)
 
 
-def judge(scan: Scan, body: FloatArray, neighbours, footprint=ROBOMASTER_EP_SIZE):
+def judge(scan: Scan, body: FloatArray, neighbours, footprint=ROBOMASTER_EP_SIZE, noise=0.0):
     """Errors of Gabriel neighbours [m], radial errors [m], share of them missed, share of detections that are false."""
-    centres, counts = detect_robots(scan, footprint)
+    centres, counts = detect_robots(scan, footprint, noise)
     found, radial, false = [], [], 0
     for b, i in np.ndindex(counts.shape):
         others = np.delete(np.arange(body.shape[2]), i)
@@ -165,6 +166,25 @@ def test_accuracy_on_random_scenes(sigma, median, p95):
     assert abs(radial.mean()) < 0.001  # no bias towards the near side
     assert missed < 0.005
     assert false < 0.002
+
+
+def test_noise_that_is_told_leaves_robots_whole():
+    noisy = scenes(9, 10, 0.05)
+    _, _, missed, _ = judge(*noisy)
+    assert missed > 0.2
+    found, _, missed, false = judge(*noisy, noise=0.05)
+    assert np.median(found) < 0.025
+    assert missed < 0.1
+    assert false < 0.02
+
+
+@pytest.mark.parametrize(("footprint", "median"), [(ROBOMASTER_EP, 0.02), (Footprint.circle(0.1), 0.01)])
+def test_unknown_footprints_on_random_scenes(footprint, median):
+    found, radial, missed, false = judge(*scenes(9, 20, 0.0, footprint), footprint=None)
+    assert np.median(found) < median
+    assert abs(radial.mean()) < 0.01
+    assert missed < 0.02
+    assert false < 0.01
 
 
 def test_circles_are_found_exactly():
@@ -235,10 +255,11 @@ def test_few_points_still_give_a_centre():
 @given(st.integers(1, 60).flatmap(lambda rays: st.lists(st.floats(), min_size=rays, max_size=rays)))
 def test_any_ranges_give_a_defined_result(ranges):
     config = ScanConfig(rays=len(ranges))
-    centres, count = detect_robots(Scan(np.array(ranges), config))
-    assert 0 <= count <= most_robots(config.rays)
-    assert centres.shape == (count, 2)
-    assert np.isfinite(centres).all()
+    for footprint in (ROBOMASTER_EP_SIZE, None):
+        centres, count = detect_robots(Scan(np.array(ranges), config), footprint)
+        assert 0 <= count <= most_robots(config.rays)
+        assert centres.shape == (count, 2)
+        assert np.isfinite(centres).all()
 
 
 @settings(deadline=None, max_examples=30)
@@ -247,9 +268,10 @@ def test_random_clutter_gives_a_defined_result(seed, spread):
     rng = np.random.default_rng(seed)
     ranges = np.clip(1.0 + np.cumsum(rng.normal(0, 0.05, 450)) * spread, 0.05, 3.0)
     ranges[rng.random(450) < 0.1] = rng.choice([np.nan, np.inf, -np.inf, -1.0, 0.0])
-    centres, count = detect_robots(Scan(ranges, CONFIG))
-    assert np.isfinite(centres).all()
-    assert len(centres) == count
+    for footprint in (ROBOMASTER_EP_SIZE, None):
+        centres, count = detect_robots(Scan(ranges, CONFIG), footprint, 0.5 * spread * (footprint is None))
+        assert np.isfinite(centres).all()
+        assert len(centres) == count
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 0.0, -1.0, 5.0])
@@ -267,6 +289,12 @@ def test_a_batch_equals_its_scans_and_is_padded():
         assert count == counts[index]
         np.testing.assert_array_equal(single, centres[index][:count])
         assert np.isnan(centres[index][count:]).all()
+
+
+@pytest.mark.parametrize("noise", [-0.01, np.nan, np.inf])
+def test_impossible_noise_is_refused(noise):
+    with pytest.raises(ConfigurationError, match="noise is"):
+        detect_robots(Scan(np.full(450, np.inf), CONFIG), noise=noise)
 
 
 @pytest.mark.parametrize("footprint", [0.0, -1.0, np.nan, np.inf, (0.3, 0.0), (0.3,), (0.3, 0.2, 0.1)])

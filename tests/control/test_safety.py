@@ -17,10 +17,11 @@ from triform.control.expert import Expert
 from triform.control.safety import SafetyFilter, SafetySettings, reaction_time
 from triform.control.safety_kernels import gap_along, nearest_allowed
 from triform.control.scan_pipeline import ScanPipeline
+from triform.geometry.footprint import ROBOMASTER_EP, Footprint
 from triform.simulation.arena import Arena, get_arena
 from triform.simulation.kinematics import limit_twists
 from triform.simulation.lidar import cast_scans
-from triform.simulation.profiles import HARDWARE, IDEAL, ROBOMASTER_EP, Drive, Footprint, Profile, constant_noise
+from triform.simulation.profiles import HARDWARE, IDEAL, Drive, Profile, constant_noise
 from triform.simulation.spawning import sample_starts
 from triform.simulation.world import World
 from triform.threads import limit_threads

@@ -15,9 +15,9 @@ from triform.control.scan_pipeline import ScanPipeline
 from triform.control.triangulating import Triangulating, TriangulatingLaw
 from triform.evaluation.rollout import rollout
 from triform.geometry import assess, edge_error
+from triform.geometry.footprint import ROBOMASTER_EP, Footprint
 from triform.simulation.arena import Arena
 from triform.simulation.lidar import cast_scans
-from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.simulation.shipped import get_profile
 from triform.simulation.spawning import sample_starts
 from triform.simulation.world import World

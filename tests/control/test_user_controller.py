@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from triform.control import CONTROLLERS, ControllerSpec, SafetyFilter, make_controller
+from triform.control import CONTROLLERS, ControllerSpec, SafetyFilter, ScanPipeline, make_controller
 from triform.simulation import make_world
 from triform.types import ConfigurationError, PrivilegedView, TriformError, View
 
@@ -169,6 +169,12 @@ def test_a_class_that_cannot_be_used_is_refused(code: str, says: str, tmp_path: 
         ("policy:", "'policy:' names no weights after the colon"),
         ("policy:papr", r"there is no policy 'papr' \(did you mean 'paper'\?\): it is neither a folder nor one of"),
         ("triangulating:paper", "'triangulating' has no weights; they belong to policy and gnn"),
+        ("scan-triangulating:", "'scan-triangulating:' names no footprint after the colon"),
+        (
+            "scan-pipeline:epp",
+            r"a footprint or 'unknown', but the footprint is 'epp' \(did you mean 'ep'\?\)",
+        ),
+        ("scan-pipeline:box:0.4x-1", "a footprint or 'unknown', but the footprint is 0.4 m x -1.0 m"),
     ],
 )
 def test_a_name_of_no_controller_is_refused(text: str, says: str) -> None:
@@ -182,7 +188,31 @@ def test_weights_are_said_in_one_way() -> None:
         ControllerSpec("policy:paper", "default")
 
 
-@given(st.sampled_from(CONTROLLERS) | st.sampled_from(["policy:paper", "gnn:a/b:c", "mine.py:Mine", "a:b.py:C_1"]))
+def test_a_footprint_is_said_in_one_way() -> None:
+    spec = ControllerSpec.parse("scan-triangulating:circle:0.30")
+    assert spec == ControllerSpec("scan-triangulating", footprint="circle:0.30") == spec.resolved
+    with pytest.raises(ConfigurationError, match="it is 'scan-pipeline', with the footprint 'ep' beside it"):
+        ControllerSpec("scan-pipeline:ep")
+    with pytest.raises(ConfigurationError, match="'policy' takes no footprint; scan-pipeline and"):
+        ControllerSpec("policy", footprint="ep")
+
+
+def test_a_footprint_that_a_controller_names_comes_before_that_of_the_robots() -> None:
+    def fitted(text: str) -> object:
+        return make_controller(text, footprint=0.2).description["footprint"]
+
+    assert fitted("scan-pipeline") == fitted("scan-pipeline:circle-10")
+    assert fitted("scan-pipeline:ep") == ScanPipeline().description["footprint"]
+    assert fitted("scan-pipeline:unknown") == "unknown" == ScanPipeline(footprint=None).description["footprint"]
+
+
+SPELLED = (
+    "policy:paper", "gnn:a/b:c", "mine.py:Mine", "a:b.py:C_1", "scan-pipeline:unknown",
+    "scan-triangulating:box:0.41x0.24",
+)  # fmt: skip
+
+
+@given(st.sampled_from(CONTROLLERS) | st.sampled_from(SPELLED))
 def test_a_label_is_read_as_it_was_written(text: str) -> None:
     spec = ControllerSpec.parse(text)
     assert spec.label == text

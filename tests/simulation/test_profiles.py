@@ -14,6 +14,7 @@ from triform.evaluation.scenario import Scenario
 from triform.robots.drive import DriveConfig
 from triform.robots.emulate import EmulateConfig
 from triform.simulation import (
+    HARDWARE,
     PROFILES,
     ROBOMASTER_EP,
     Arena,
@@ -24,8 +25,9 @@ from triform.simulation import (
     constant_noise,
     get_arena,
     get_profile,
+    noise_sigma,
 )
-from triform.types import ConfigurationError, TriformError
+from triform.types import ConfigurationError, ScanConfig, TriformError
 
 
 @pytest.mark.parametrize(
@@ -117,6 +119,15 @@ def test_footprints() -> None:
     disc = Footprint.circle(0.3)
     assert disc.circumradius == 0.15
     assert constant_noise(0.01)[0].up_to == math.inf
+
+
+@pytest.mark.parametrize("reach", [0.4, 0.8, 3.0, 8.0])
+@pytest.mark.parametrize(
+    "noise", [(), constant_noise(0.02), HARDWARE.lidar.noise, (NoiseBand(1, 0.03), NoiseBand(math.inf))]
+)
+def test_the_largest_noise_is_that_of_the_worst_range(reach: float, noise: tuple[NoiseBand, ...]) -> None:
+    lidar = LidarConfig(ScanConfig(range_max=reach), noise)
+    assert lidar.largest_noise == pytest.approx(noise_sigma(np.linspace(1e-6, reach, 10_000), noise).max(), abs=1e-5)
 
 
 def test_rooms_close() -> None:

@@ -99,4 +99,7 @@ def test_weights_that_cannot_be_read_are_refused(tmp_path):
 
 
 def test_it_is_known_of_every_controller_what_it_sees():
-    assert all(what_it_sees(name) for name in CONTROLLERS)
+    seen = {text: what_it_sees(ControllerSpec.parse(text)) for text in CONTROLLERS}
+    assert all(seen.values())
+    for footprint in ("ep", "unknown"):
+        assert what_it_sees(ControllerSpec("scan-pipeline", footprint=footprint)) not in seen.values()

@@ -188,7 +188,12 @@ class Settings:
         Raises:
             TriformError: There is no such controller, it needs what no robot knows, or its weights cannot be used.
         """
-        controller = make_controller(self.spec, self.given["distance"], footprint=self.robot.footprint.size)
+        controller = make_controller(
+            self.spec,
+            self.given["distance"],
+            footprint=self.robot.footprint.size,
+            noise=self.robot.lidar.largest_noise,
+        )
         return from_scans_alone(controller, self.given["controller"], self.robot.lidar.min_intensity)
 
     def seen(self, view: View) -> View:

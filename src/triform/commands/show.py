@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from triform.commands.terminal import Terminal
-from triform.control import CONTROLLERS, shipped_weights
+from triform.control import CONTROLLERS, ControllerSpec, shipped_weights
 from triform.control.user import installed_controllers
 from triform.policy import describe_network, read_spec
 from triform.robots.scan_file import read_scans
@@ -98,7 +98,7 @@ class Show:
             rows = [[name, str(len(arena.walls)), str(len(arena.pillars))] for name, arena in ARENAS.items()]
             terminal.table("arenas", ["arena", "walls", "circles"], rows)
         elif self.what == "controllers":
-            rows = [[name, what_it_sees(name)] for name in CONTROLLERS]
+            rows = [[name, what_it_sees(ControllerSpec(name))] for name in CONTROLLERS]
             rows += [[name, point.value] for name, point in installed_controllers().items()]
             terminal.table("controllers", ["controller", "sees"], rows)
         else:

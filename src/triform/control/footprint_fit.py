@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from triform.control.footprint_geometry import mean_depth, mean_half_width, pose_cost, surface_residual
+from triform.control.footprint_geometry import ONE_POINT, mean_depth, mean_half_width, pose_cost, surface_residual
 from triform.kernels import kernel
 
 #: Headings tried per half turn.
@@ -59,7 +59,7 @@ def _solve_symmetric(normal, gradient, step):
 
 
 @kernel
-def improve_pose(points, count, edges, pose, footprint, steps):
+def improve_pose(points, count, edges, pose, footprint, noise, steps):
     """Improve a pose in place by damped Gauss-Newton steps.
 
     Residuals are the heights of the points over the visible sides (Cauchy weights), their excess beyond a side's
@@ -73,9 +73,11 @@ def improve_pose(points, count, edges, pose, footprint, steps):
         edges: Clockwise, then counter-clockwise silhouette: (angle, half gap) [rad], ``NaN`` if hidden, shape (2, 2).
         pose: Pose to improve, shape (3,).
         footprint: (a, b, round).
+        noise: Standard deviation of measured ranges [m].
         steps: Number of steps.
     """
     a, b, round_ = footprint
+    scale_squared = (ROBUST_SCALE + ONE_POINT * noise) ** 2
     normal, gradient, step = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     for _ in range(steps):
         cosine, sine = np.cos(pose[2]), np.sin(pose[2])
@@ -85,7 +87,7 @@ def improve_pose(points, count, edges, pose, footprint, steps):
             height, n_u, n_v, beyond, t_u, t_v, u, v = surface_residual(
                 points[i, 0], points[i, 1], pose, cosine, sine, a, b, round_
             )
-            weight = 1.0 / (1.0 + (height * height + beyond * beyond) / (ROBUST_SCALE * ROBUST_SCALE))
+            weight = 1.0 / (1.0 + (height * height + beyond * beyond) / scale_squared)
             _accumulate(
                 normal, gradient, height,
                 -(cosine * n_u - sine * n_v), -(sine * n_u + cosine * n_v), (n_u * v - n_v * u) / ARM, weight,
@@ -240,13 +242,13 @@ def fit_footprint(points, count, edges, footprint, sight, pose):
     for k in range(STARTS):
         if costs[k] == np.inf:
             break
-        improve_pose(points, count, edges, poses[k], footprint, STEPS_START)
+        improve_pose(points, count, edges, poses[k], footprint, sight.noise, STEPS_START)
         cost = pose_cost(points, count, poses[k], footprint, sight)
         if cost < best:
             best = cost
             pose[:] = poses[k]
     poses[0] = pose
-    improve_pose(points, count, edges, poses[0], footprint, STEPS_FINAL)
+    improve_pose(points, count, edges, poses[0], footprint, sight.noise, STEPS_FINAL)
     cost = pose_cost(points, count, poses[0], footprint, sight)
     if cost <= best:
         best = cost

@@ -6,20 +6,43 @@ Everything is in the observer's frame: the LiDAR is the origin.
   of an ``a`` by ``b`` box.
 - A *pose* is the footprint's ``(x, y, heading)``. The heading of a box is known up to half a turn; that of a circle
   means nothing.
-- A *sight* is ``(clean ranges (R,), unit vectors of the rays (R, 2), angle_min, range_max)``. A clean range is ``inf``
-  where the ray is free up to ``range_max`` and ``NaN`` where nothing is known.
+- A *sight* is the whole scan, see ``CleanScan``.
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from triform.kernels import kernel
 
+#: By how many standard deviations of the range noise what is allowed of a single point grows, and of two points.
+ONE_POINT = 3.0
+TWO_POINTS = 4.0
 #: A point or ray that disagrees by more than this counts as an outlier and costs no more [m].
 OUTLIER = 0.06
 #: A ray may pass this deep through a footprint before it counts as evidence against it [m].
 DEPTH_SLACK = 0.02
+
+
+class CleanScan(NamedTuple):
+    """A scan of R rays, as it is used.
+
+    Attributes:
+        ranges: Clean ranges [m]: ``inf`` where the ray is free up to ``range_max``, ``NaN`` where nothing is known,
+            shape (R,).
+        directions: Unit vectors of the rays, shape (R, 2).
+        angle_min: Angle of the first ray [rad].
+        range_max: Farther returns are free rays [m].
+        noise: Standard deviation of measured ranges [m]. What is allowed of points grows with it.
+    """
+
+    ranges: Any
+    directions: Any
+    angle_min: float
+    range_max: float
+    noise: float
 
 
 @kernel
@@ -81,7 +104,7 @@ def ray_interval(direction_x, direction_y, pose, cosine, sine, a, b, round_):
 
 @kernel
 def pose_cost(points, count, pose, footprint, sight):
-    """Sum of squared disagreements of a pose with points and rays [m^2], each at most ``OUTLIER`` squared.
+    """Sum of squared disagreements of a pose with points and rays [m^2], each at most that of an outlier.
 
     Every point should lie on a side that the observer can see, and no ray that went farther should pass through the
     footprint. A ray that stopped before it proves nothing: whoever stopped it may hide part of the footprint.
@@ -94,8 +117,8 @@ def pose_cost(points, count, pose, footprint, sight):
         sight: The whole scan.
     """
     a, b, round_ = footprint
-    ranges, directions, angle_min, range_max = sight
-    worst = OUTLIER * OUTLIER
+    ranges, directions, angle_min, range_max, noise = sight
+    worst = (OUTLIER + ONE_POINT * noise) ** 2
     cosine, sine = np.cos(pose[2]), np.sin(pose[2])
     cost = 0.0
     for i in range(count):
@@ -119,7 +142,7 @@ def pose_cost(points, count, pose, footprint, sight):
         if np.isnan(measured):
             continue
         entry, leave = ray_interval(directions[ray, 0], directions[ray, 1], pose, cosine, sine, a, b, round_)
-        depth = min(measured, range_max, leave) - entry - DEPTH_SLACK
+        depth = min(measured, range_max, leave) - entry - DEPTH_SLACK - ONE_POINT * noise
         if depth > 0.0:
             cost += min(depth * depth, worst)
     return cost

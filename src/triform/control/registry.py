@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from triform.control.learned import LearnedPolicy
 from triform.control.scan_pipeline import ScanPipeline
 from triform.control.triangulating import Triangulating, TriangulatingLaw
 from triform.control.user import UserController, installed_controllers, load_class
+from triform.geometry.footprint import Footprint
 from triform.policy import GnnRuntime, PolicyRuntime, read_spec
 from triform.types import SENSING_RANGE, SIGHT, ConfigurationError, Controller, choose, convert_fields, nearest, require
 
@@ -24,6 +25,9 @@ DEFAULT_WEIGHTS = "default"
 _OR_YOURS = ", FILE.py:CLASS and MODULE:CLASS"
 #: Controllers with weights, and those that each takes if none are named.
 WITH_WEIGHTS = {"policy": DEFAULT_WEIGHTS, "gnn": "gnn"}
+#: Controllers that fit a footprint to what they see, and the word for none: they then estimate it from each scan.
+WITH_FOOTPRINT = ("scan-pipeline", "scan-triangulating")
+UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
@@ -34,18 +38,22 @@ class ControllerSpec:
         name: One of ``CONTROLLERS``, a class as ``FILE.py:CLASS`` or ``MODULE:CLASS``, or an entry point of the group
             ``triform.controllers``.
         weights: Weights of ``policy`` or ``gnn``: a shipped policy's name or a folder; the default one if ``None``.
+        footprint: Footprint that ``scan-pipeline`` or ``scan-triangulating`` fits, as ``Footprint.parse`` reads it, or
+            ``unknown``; that of the robots if ``None``.
     """
 
     name: str = "policy"
     weights: str | None = None
+    footprint: str | None = None
 
     def __post_init__(self) -> None:
         convert_fields(self)
-        name, weights = self.name, self.weights
+        name, weights, footprint = self.name, self.weights, self.footprint
         head, colon, rest = name.partition(":")
+        beside = "footprint" if head in WITH_FOOTPRINT else "weights"
         require(
             not colon or head not in CONTROLLERS,
-            f"the name of a controller is {name!r}; it is {head!r}, with the weights {rest!r} beside it",
+            f"the name of a controller is {name!r}; it is {head!r}, with the {beside} {rest!r} beside it",
         )
         file = name.removesuffix(":")
         require(not file.endswith(".py"), f"the controller {file!r} names no class; write {file}:CLASS")
@@ -58,16 +66,30 @@ class ControllerSpec:
             weights is None or name in WITH_WEIGHTS,
             f"the controller {name!r} has no weights; they belong to {' and '.join(WITH_WEIGHTS)}",
         )
+        require(
+            footprint is None or name in WITH_FOOTPRINT,
+            f"the controller {name!r} takes no footprint; {' and '.join(WITH_FOOTPRINT)} do",
+        )
+        if footprint not in (None, UNKNOWN):
+            try:
+                Footprint.parse(footprint)
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{name} takes a footprint or {UNKNOWN!r}, but the {error}") from error
 
     @classmethod
     def parse(cls, text: str) -> ControllerSpec:
-        """Read ``NAME``, ``policy:WEIGHTS``, ``gnn:WEIGHTS``, ``FILE.py:CLASS`` or ``MODULE:CLASS``.
+        """Read ``NAME``, ``policy:WEIGHTS``, ``scan-triangulating:FOOTPRINT``, ``FILE.py:CLASS`` or ``MODULE:CLASS``.
+
+        ``gnn`` takes weights too, and ``scan-pipeline`` a footprint.
 
         Raises:
             ConfigurationError: There is no such controller.
         """
         name, colon, rest = text.partition(":")
         if not colon or name in CONTROLLERS:
+            if name in WITH_FOOTPRINT:
+                require(not colon or rest != "", f"the controller {text!r} names no footprint after the colon")
+                return cls(name, footprint=rest or None)
             require(not colon or rest != "", f"the controller {text!r} names no weights after the colon")
             return cls(name, rest or None)
         return cls(text)
@@ -75,12 +97,12 @@ class ControllerSpec:
     @property
     def label(self) -> str:
         """The controller as ``parse`` reads it."""
-        return self.name if self.weights is None else f"{self.name}:{self.weights}"
+        return ":".join(filter(None, (self.name, self.weights, self.footprint)))
 
     @property
     def resolved(self) -> ControllerSpec:
         """The controller with its default weights, if it has weights and none are named."""
-        return self if self.weights else ControllerSpec(self.name, WITH_WEIGHTS.get(self.name))
+        return self if self.weights else replace(self, weights=WITH_WEIGHTS.get(self.name))
 
 
 #: The shipped policy.
@@ -116,16 +138,19 @@ def make_controller(
     threads: int = 1,
     footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE,
     sight: float = SIGHT,
+    noise: float = 0.0,
 ) -> Controller[Any]:
     """Make a controller.
 
     Args:
-        controller: The controller, such as ``policy``, ``policy:paper`` or ``triangulating``.
+        controller: The controller, such as ``policy``, ``policy:paper``, ``triangulating`` or
+            ``scan-triangulating:unknown``.
         distance: Prescribed neighbour distance d* [m].
         threads: For policies: threads of one call of the network, see ``PolicyRuntime``.
         footprint: For those that are told it, the outline of the robots: length and width of a box, or the diameter of
-            a circle [m].
+            a circle [m]. A footprint that the controller names itself comes first.
         sight: For the triangulating law, how far robots look [d*]; a policy looks as far as in its training.
+        noise: For the scan pipelines, the standard deviation of measured ranges [m].
 
     Raises:
         ConfigurationError: If there is no such controller, or it cannot be made with these settings.
@@ -143,7 +168,7 @@ def make_controller(
     if name == "triangulating":
         return Triangulating(distance, law=TriangulatingLaw(sight=sight))
     law = TriangulatingLaw(sight=sight) if name == "scan-triangulating" else None
-    return ScanPipeline(distance, footprint=footprint, law=law)
+    return ScanPipeline(distance, footprint=_fitted(spec, footprint), law=law, noise=noise)
 
 
 def sight_of(controller: ControllerSpec) -> float:
@@ -156,6 +181,13 @@ def sight_of(controller: ControllerSpec) -> float:
         spec = read_spec(weights_folder(controller.weights, controller.name))
         return spec.scan.range_max / spec.distance
     return SENSING_RANGE if controller.name in (*EXPERTS, "scan-pipeline") else SIGHT
+
+
+def _fitted(spec: ControllerSpec, footprint: tuple[float, float] | float) -> tuple[float, float] | float | None:
+    """Return the footprint that a scan pipeline fits to robots of ``footprint``; ``None`` if it estimates it."""
+    if spec.footprint == UNKNOWN:
+        return None
+    return footprint if spec.footprint is None else Footprint.parse(spec.footprint).size
 
 
 def _blocking_radius(footprint: tuple[float, float] | float) -> float:

@@ -14,10 +14,12 @@ import numpy as np
 from triform.control.detection import (
     ROBOMASTER_EP_SIZE,
     SCANS_PER_THREAD,
+    UNKNOWN_BODY,
     detect_into,
-    kernel_footprint,
+    fitted_footprint,
     most_robots,
     ray_directions,
+    require_noise,
 )
 from triform.control.triangulating import TriangulatingLaw
 from triform.control.triangulating_kernels import law_workspace, triangulate
@@ -63,7 +65,8 @@ class _Seen(NamedTuple):
         ranges: Ranges of their scans [m], shape (M, R).
         active: Robots that exist, shape (M,).
         odometry: Their poses now in their body frames at the moments of their scans [m, m, rad], shape (M, 3).
-        footprint: Outline of all robots.
+        footprint: Outline of all robots; ``UNKNOWN_BODY`` to estimate it.
+        noise: Standard deviation of the ranges [m].
         directions: Unit vectors of the rays, shape (R, 2).
         angle_min: Angle of the first ray [rad].
         range_max: Farther returns are not used [m].
@@ -73,6 +76,7 @@ class _Seen(NamedTuple):
     active: Any
     odometry: Any
     footprint: Body
+    noise: float
     directions: Any
     angle_min: float
     range_max: float
@@ -81,7 +85,9 @@ class _Seen(NamedTuple):
 @kernel
 def _detect(seen, m, centres):
     """Write the centres of the robots that robot m sees, from where it is now; return their number."""
-    count = detect_into(seen.ranges[m], seen.footprint, seen.directions, seen.angle_min, seen.range_max, centres)
+    count = detect_into(
+        seen.ranges[m], seen.footprint, seen.directions, seen.angle_min, seen.range_max, seen.noise, centres
+    )
     _shift(centres, count, seen.odometry[m])
     return count
 
@@ -134,6 +140,14 @@ def _rows(values: FloatArray | None, robots: int, width: int) -> FloatArray:
     return np.zeros((robots, width)) if values is None else np.ascontiguousarray(values).reshape(-1, width)
 
 
+def _describe_body(body: Body) -> dict[str, Any] | str:
+    """Return a footprint as plain JSON values."""
+    if body == UNKNOWN_BODY:
+        return "unknown"
+    shape = "circle" if body.is_circle else "box"
+    return {"shape": shape, "length": 2 * body.half_length, "width": 2 * body.half_width}
+
+
 class ScanPipeline:
     """Model-based ``Controller[View]``: detected centres, Gabriel graph, and one of two laws.
 
@@ -147,8 +161,9 @@ class ScanPipeline:
     **Triangulating**: ``TriangulatingLaw``, with its exploration noise if the view carries one. It uses returns
     and robots within the law's sight, whatever the range of the LiDAR.
 
-    Being told the footprint is an advantage over a learned policy, which has to do with any: it corrects the bias of
-    what is seen, the near side of each robot, and tells robots from walls.
+    It is given the footprint and the noise, an advantage over a learned policy, which has to do with any: the footprint
+    corrects the bias of what is seen, the near side of each robot, and tells robots from walls. Without a footprint, it
+    estimates one from each scan.
     """
 
     privileged = False
@@ -158,8 +173,9 @@ class ScanPipeline:
         distance: float = 1.0,
         gain: float = 1.0,
         max_speed: float = 1.0,
-        footprint: tuple[float, float] | float = ROBOMASTER_EP_SIZE,
+        footprint: tuple[float, float] | float | None = ROBOMASTER_EP_SIZE,
         law: TriangulatingLaw | None = None,
+        noise: float = 0.0,
     ) -> None:
         """Make a pipeline.
 
@@ -167,23 +183,27 @@ class ScanPipeline:
             distance: Prescribed neighbour distance d* [m].
             gain: Gain of the springs [1/s]; the triangulating law has its own.
             max_speed: Longer commands are scaled to this speed [m/s], keeping their direction.
-            footprint: Length and width of the robots' box, or the diameter of a circle [m].
+            footprint: Length and width of the robots' box, or the diameter of a circle [m]; ``None`` to estimate it
+                from each scan.
             law: What to do about the robots detected: the triangulating law, or springs if ``None``.
+            noise: Standard deviation of measured ranges [m], with which what the fit allows grows.
 
         Raises:
-            ConfigurationError: If a value is not positive, or one other than ``max_speed`` not finite.
+            ConfigurationError: If a value is not positive, but for the noise, which must not be negative; or if one
+                other than ``max_speed`` is not finite.
         """
         require(0 < distance < np.inf, f"distance is {distance} m; it must be positive and finite")
         require(0 < gain < np.inf, f"gain is {gain} 1/s; it must be positive and finite")
         require(max_speed > 0, f"max_speed is {max_speed} m/s; it must be positive")
-        self._footprint = kernel_footprint(footprint)
+        require_noise(noise)
+        self._footprint = fitted_footprint(footprint)
+        self._noise = float(noise)
         self._springs = (float(distance), float(gain), float(max_speed))
         self._law = law
 
     @property
     def description(self) -> dict[str, Any]:
         """Name and settings, plain JSON values."""
-        half_length, half_width, round_ = self._footprint
         distance, gain, max_speed = self._springs
         law = self._law
         return {
@@ -191,7 +211,8 @@ class ScanPipeline:
             "distance": distance,
             **({"gain": gain} if law is None else {"law": asdict(law)}),
             "max_speed": max_speed,
-            "footprint": {"shape": "circle" if round_ else "box", "length": 2 * half_length, "width": 2 * half_width},
+            "footprint": _describe_body(self._footprint),
+            "noise": self._noise,
         }
 
     def command(self, view: View) -> FloatArray:
@@ -200,7 +221,7 @@ class ScanPipeline:
         ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
         active = view.active.reshape(-1)
         odometry, noise = _rows(view.odometry, len(ranges), 3), _rows(view.noise, len(ranges), 2)
-        sight = (ranges, active, odometry, self._footprint, ray_directions(scan), scan.config.angle_min)
+        sight = (ranges, active, odometry, self._footprint, self._noise, ray_directions(scan), scan.config.angle_min)
         out = np.empty((len(ranges), 3))
         distance, gain, max_speed = self._springs
         law = self._law

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from triform.control.footprint_fit import fit_footprint, push_centroid
+from triform.control.footprint_geometry import TWO_POINTS
 from triform.kernels import kernel
 
 #: Fewer points than this are noise; fewer than ``MIN_FITTED`` are too few to fit a pose.
@@ -31,20 +32,19 @@ SPAN_SLACK = 0.05
 
 
 @kernel
-def collect_points(ranges, range_max, directions, clean, rays, points):
+def collect_points(ranges, sight, rays, points):
     """Clean one scan and list its points counter-clockwise, starting at a gap if there is one.
 
     Args:
         ranges: Measured ranges [m], shape (R,).
-        range_max: Farther returns are free rays [m].
-        directions: Unit vectors of the rays, shape (R, 2).
-        clean: Clean ranges to write: a range, ``inf`` for a free ray, ``NaN`` for one that says nothing, shape (R,).
+        sight: The whole scan, whose clean ranges are written.
         rays: Ray of each point to write, shape (R,).
         points: Points to write [m], shape (R, 2).
 
     Returns:
         Number of points.
     """
+    clean, directions, range_max = sight.ranges, sight.directions, sight.range_max
     total = ranges.shape[0]
     count = 0
     for k in range(total):
@@ -59,7 +59,7 @@ def collect_points(ranges, range_max, directions, clean, rays, points):
             clean[k] = np.nan
     start = 0
     for i in range(count):
-        if breaks(clean, directions, rays[i - 1] if i else rays[count - 1], rays[i]):
+        if breaks(sight, rays[i - 1] if i else rays[count - 1], rays[i]):
             start = i
             break
     order = np.roll(rays[:count], -start)
@@ -71,12 +71,13 @@ def collect_points(ranges, range_max, directions, clean, rays, points):
 
 
 @kernel
-def breaks(clean, directions, ray, other):
+def breaks(sight, ray, other):
     """Whether two consecutive points are too far apart for one surface."""
+    clean, directions = sight.ranges, sight.directions
     total = clean.shape[0]
     turn = 2.0 * np.pi / total * ((other - ray) % total)
     limit = min(clean[ray], clean[other]) * turn / np.sin(GRAZING) + GAP_NOISE
-    limit = min(max(limit, GAP_LIMITS[0]), GAP_LIMITS[1])
+    limit = min(max(limit, GAP_LIMITS[0]), GAP_LIMITS[1]) + TWO_POINTS * sight.noise
     gap_x = clean[ray] * directions[ray, 0] - clean[other] * directions[other, 0]
     gap_y = clean[ray] * directions[ray, 1] - clean[other] * directions[other, 1]
     return gap_x * gap_x + gap_y * gap_y > limit * limit
@@ -96,7 +97,7 @@ def silhouette_edge(sight, ray, previous, side, edge):
         side: +1 for the counter-clockwise end, -1 for the clockwise one.
         edge: Result, shape (2,).
     """
-    clean, _, angle_min, range_max = sight
+    clean, angle_min, range_max = sight.ranges, sight.angle_min, sight.range_max
     total = clean.shape[0]
     increment = 2.0 * np.pi / total
     edge[0] = edge[1] = np.nan
@@ -105,8 +106,8 @@ def silhouette_edge(sight, ray, previous, side, edge):
         if np.isnan(beyond):
             continue
         slope = max(clean[ray] - clean[previous], 0.0)
-        cut = beyond == np.inf and clean[ray] + 1.5 * slope + TOUCHING > range_max
-        if beyond > clean[ray] + TOUCHING and not cut:
+        cut = beyond == np.inf and clean[ray] + 1.5 * slope + TOUCHING + sight.noise > range_max
+        if beyond > clean[ray] + TOUCHING + TWO_POINTS * sight.noise and not cut:
             edge[0] = angle_min + increment * (ray + 0.5 * side * k)
             edge[1] = 0.5 * increment * k
         return
@@ -121,10 +122,10 @@ def find_edges(sight, rays, first, last, edges):
 
 
 @kernel
-def longest_span(footprint):
+def longest_span(footprint, noise):
     """Return the largest distance between two points of one robot, with slack for noise [m]."""
     a, b, round_ = footprint
-    return (2.0 * a if round_ else 2.0 * np.hypot(a, b)) + SPAN_SLACK
+    return (2.0 * a if round_ else 2.0 * np.hypot(a, b)) + SPAN_SLACK + TWO_POINTS * noise
 
 
 @kernel
@@ -155,7 +156,7 @@ def notch_depth(points, count):
 
 
 @kernel
-def split_index(points, count):
+def split_index(points, count, noise):
     """Where merged objects part: at a gap that stands out, else at the notch between two convex shapes.
 
     Returns:
@@ -169,17 +170,17 @@ def split_index(points, count):
         total += gap
         if gap > widest:
             widest, where = gap, i
-    if widest > TOUCHING and widest > 3.0 * (total - widest) / max(count - 2, 1):
+    if widest > TOUCHING + TWO_POINTS * noise and widest > 3.0 * (total - widest) / max(count - 2, 1):
         return where
     away, notch = notch_depth(points, count)
-    return notch if away > STRAIGHT else 0
+    return notch if away > STRAIGHT + TWO_POINTS * noise else 0
 
 
 @kernel
 def fit_segment(points, count, edges, footprint, sight, pose):
     """Fit the footprint, or guess from too few points; return the root mean cost [m], ``inf`` if no robot."""
     a, b, _ = footprint
-    if count < MIN_POINTS or span(points, count) > longest_span(footprint):
+    if count < MIN_POINTS or span(points, count) > longest_span(footprint, sight.noise):
         return np.inf
     visible = ((edges[1, 0] - edges[0, 0]) % (2.0 * np.pi)) * np.hypot(
         points[:count, 0].mean(), points[:count, 1].mean()
@@ -217,17 +218,17 @@ def line_distance(points, count, line):
 
 
 @kernel
-def find_wall(points, count, footprint, line):
+def find_wall(points, count, footprint, noise, line):
     """Whether a segment is straight and longer than any robot; its line is written to ``line``."""
     chord = np.hypot(points[count - 1, 0] - points[0, 0], points[count - 1, 1] - points[0, 1])
-    return chord > longest_span(footprint) and fit_line(points, count, line) < STRAIGHT
+    return chord > longest_span(footprint, noise) and fit_line(points, count, line) < STRAIGHT + noise
 
 
 @kernel
-def looks_like_wall(points, count, edges, walls, wall_count):
+def looks_like_wall(points, count, edges, noise, walls, wall_count):
     """Whether the points may be a piece of a wall: on the line of a wall, or straight without a free edge."""
     for k in range(wall_count):
-        if line_distance(points, count, walls[k]) < STRAIGHT:
+        if line_distance(points, count, walls[k]) < STRAIGHT + noise:
             return True
     hidden = np.isnan(edges[0, 0]) and np.isnan(edges[1, 0])
-    return hidden and fit_line(points, count, np.empty(4)) < STRAIGHT
+    return hidden and fit_line(points, count, np.empty(4)) < STRAIGHT + noise

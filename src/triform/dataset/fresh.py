@@ -13,11 +13,11 @@ import numpy as np
 
 from triform.control import Teacher, expert_into
 from triform.dataset.neighbours import COLUMNS, neighbours_into
+from triform.geometry.footprint import ROBOMASTER_EP, Footprint
 from triform.kernels import kernel
 from triform.perception import map_rules, map_workspace, occupied_into
 from triform.simulation import Arena, is_connected
 from triform.simulation.lidar import cast_world, scan_rays
-from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.simulation.ray_kernels import Scene
 from triform.types import (
     SENSING_RANGE,

@@ -15,11 +15,11 @@ import numpy as np
 from triform.control.triangulating import TriangulatingLaw
 from triform.control.triangulating_kernels import LAW_EDGE_FEATURES, LAW_FEATURES, hidden, law_workspace, triangulate
 from triform.dataset.state_buffer import StateBuffer
+from triform.geometry.footprint import ROBOMASTER_EP, Footprint
 from triform.kernels import kernel
 from triform.perception import map_rules, map_workspace, occupied_into
 from triform.simulation.cast_kernels import cast_robot, find_axes
 from triform.simulation.lidar import scan_rays
-from triform.simulation.profiles import ROBOMASTER_EP, Footprint
 from triform.simulation.ray_kernels import Scene
 from triform.types import Body, FloatArray, IntArray, MapArray, MapConfig, ScanConfig, convert_fields, require
 

@@ -219,7 +219,13 @@ class Scenario:
         """Make the controller of one kind; of several, each has its own workspace for its own scans."""
         mixed = self.team.is_mixed
         if isinstance(controller, str | ControllerSpec):
-            made = make_controller(controller, self.distance, footprint=profile.footprint.size, sight=self.sight)
+            made = make_controller(
+                controller,
+                self.distance,
+                footprint=profile.footprint.size,
+                sight=self.sight,
+                noise=profile.lidar.largest_noise,
+            )
         else:
             made = copy.copy(controller) if mixed else controller
         threshold = profile.lidar.min_intensity

@@ -182,7 +182,7 @@ def find_costs(config: CompareConfig, grid: Grid) -> dict[str, Cost]:
         controllers = {controller.label: scenario.make_controller(controller) for controller in known}
     seconds = step_times(controllers, record_views(scenario, config.seed))
     return {
-        controller.label: Cost(what_it_sees(controller.name), network_size(controller), seconds[controller.label])
+        controller.label: Cost(what_it_sees(controller), network_size(controller), seconds[controller.label])
         for controller in known
     }
 

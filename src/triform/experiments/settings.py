@@ -102,7 +102,8 @@ def warn_of_time(work: float, threads: int | None, listener: Listener, rate: flo
 def flat(options: Any, without: Collection[str] = ()) -> dict[str, Any]:
     """Return nested options as one flat table of plain values, as the command line spells them.
 
-    A controller becomes ``controller`` and ``weights``, an event its label. Where runs are computed is left out.
+    A controller becomes ``controller``, with the footprint that it names, and ``weights``, an event its label. Where
+    runs are computed is left out.
 
     Args:
         options: A dataclass.
@@ -112,7 +113,7 @@ def flat(options: Any, without: Collection[str] = ()) -> dict[str, Any]:
     for each in fields(options):
         value = getattr(options, each.name)
         if isinstance(value, ControllerSpec):
-            found |= {"controller": value.name, "weights": value.weights}
+            found |= {"controller": replace(value, weights=None).label, "weights": value.weights}
         elif isinstance(value, Event):
             found[each.name] = value.label
         elif isinstance(value, Execution):

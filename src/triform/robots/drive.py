@@ -236,7 +236,9 @@ class DriveConfig:
             runtime = PolicyRuntime(weights_folder(self.controller.weights))
             controller = LearnedPolicy(runtime, self.distance, clock)
         else:
-            controller = make_controller(self.controller, self.distance, footprint=self.outline)
+            controller = make_controller(
+                self.controller, self.distance, footprint=self.outline, noise=self.kind.lidar.largest_noise
+            )
         controller = from_scans_alone(controller, self.controller.label, self.threshold)
         if not self.guard:
             return controller

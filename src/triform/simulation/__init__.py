@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from triform.geometry.footprint import FOOTPRINTS, ROBOMASTER_EP, Footprint
 from triform.simulation.arena import ARENAS, Arena, get_arena
 from triform.simulation.arena_file import arena_toml
 from triform.simulation.composition import Composition, read_kinds
@@ -11,12 +12,9 @@ from triform.simulation.mounting import Mounting, Placement, read_sectors
 from triform.simulation.pace import pace
 from triform.simulation.profile_file import profile_toml
 from triform.simulation.profiles import (
-    FOOTPRINTS,
     HARDWARE,
     IDEAL,
-    ROBOMASTER_EP,
     Drive,
-    Footprint,
     LidarConfig,
     NoiseBand,
     Profile,

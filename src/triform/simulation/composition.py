@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from triform.simulation.profiles import Footprint, Profile
+from triform.geometry.footprint import Footprint
+from triform.simulation.profiles import Profile
 from triform.simulation.shipped import get_profile
 from triform.types import convert_fields, converted, require
 

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from triform.geometry.cells import SMALL_TEAM, list_cells, make_cells
+from triform.geometry.footprint import Footprint
 from triform.simulation.arena import Arena
 from triform.simulation.body_kernels import Bodies
 from triform.simulation.cast_kernels import cast_cells, cast_world, cast_worlds, sort_poses
 from triform.simulation.moving_ray_kernels import HIT_NOTHING, cast_moving_worlds
-from triform.simulation.profiles import Footprint, LidarConfig, NoiseBand
+from triform.simulation.profiles import LidarConfig, NoiseBand
 from triform.simulation.ray_kernels import ScanRays, Scene
 from triform.threads import in_parts, usable_threads
 from triform.types import BoolArray, ConfigurationError, FloatArray, RangeArray, ScanConfig, as_array, require

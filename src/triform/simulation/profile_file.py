@@ -8,9 +8,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from triform.geometry.footprint import Footprint
 from triform.simulation.intensity import Brightness
 from triform.simulation.mounting import Mounting
-from triform.simulation.profiles import Drive, Footprint, LidarConfig, NoiseBand, Profile
+from triform.simulation.profiles import Drive, LidarConfig, NoiseBand, Profile
 from triform.simulation.tables import TomlTable, quoted
 from triform.types import ConfigurationError, ScanConfig
 

@@ -13,8 +13,9 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+from triform.geometry.footprint import Footprint
 from triform.simulation.mounting import Mounting
-from triform.simulation.profiles import HARDWARE, IDEAL, Drive, Footprint, LidarConfig, NoiseBand, Profile
+from triform.simulation.profiles import HARDWARE, IDEAL, Drive, LidarConfig, NoiseBand, Profile
 from triform.types import ScanConfig, choose, converted
 
 #: ROBOTIS LDS-02, on TurtleBot3 since 2022 (e-manual, appendix LDS-02): 0.16 m to 8 m, 5 Hz or above, 1 degree;

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal
 
-from triform.simulation.profiles import Drive, Footprint, Profile
+from triform.geometry.footprint import Footprint
+from triform.simulation.profiles import Drive, Profile
 from triform.types import require
 
 #: How a robot moves: by a force in the plane, on four mecanum wheels, or on two driven wheels and casters.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from triform.geometry.footprint import Footprint
 from triform.simulation.arena import Arena
-from triform.simulation.profiles import Footprint
 from triform.simulators.chassis import WALL_HEIGHT, WALL_THICKNESS
 
 

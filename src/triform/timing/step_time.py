@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from triform.control import EXPERTS, ControllerSpec, Triangulating, TriangulatingLaw, drive, weights_folder
+from triform.control.registry import UNKNOWN, WITH_FOOTPRINT
 from triform.decode import decode_json
 from triform.evaluation.scenario import Scenario
 from triform.policy.checkpoint import read_weights
@@ -118,17 +119,19 @@ def network_size(controller: ControllerSpec) -> int | None:
     return count_parameters(weights_folder(controller.weights, controller.name))
 
 
-def what_it_sees(controller: str) -> str:
+def what_it_sees(controller: ControllerSpec) -> str:
     """Return in a few words from what a controller computes a robot's command; empty if it is not known."""
     sight = f"{TriangulatingLaw().sight:g} d*"
+    fitted = controller.footprint
+    footprints = "estimates footprints" if fitted == UNKNOWN else f"takes all robots for {fitted}"
     seen = {
         "policy": "own scan and odometry",
         "gnn": f"poses within {sight}, hidden robots too, and messages",
         "triangulating": f"poses within {sight} in line of sight",
-        "scan-pipeline": "own scan; knows the footprint",
-        "scan-triangulating": "own scan; knows the footprint",
     }
+    for name in WITH_FOOTPRINT:
+        seen[name] = "own scan; " + ("knows the footprint" if fitted is None else footprints)
     for name, variant in EXPERTS.items():
         everybody = np.isinf(variant.sensing_range)
         seen[name] = "everybody's pose" if everybody else f"poses within {variant.sensing_range:g} m"
-    return seen.get(controller, "")
+    return seen.get(controller.name, "")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from xml.sax.saxutils import quoteattr
 
+from triform.geometry.footprint import Footprint
 from triform.simulation.arena import Arena
 from triform.simulation.kinematics import WHEEL_RADIUS
-from triform.simulation.profiles import Footprint, Profile
+from triform.simulation.profiles import Profile
 from triform.simulators.chassis import (
     CENTRE_OF_MASS,
     HEIGHT,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from triform.geometry.footprint import Footprint
 from triform.simulation.arena import Arena
-from triform.simulation.profiles import Footprint, Profile
+from triform.simulation.profiles import Profile
 from triform.simulators.chassis import Base
 from triform.simulators.mujoco.differential import DifferentialBase
 from triform.simulators.mujoco.mecanum import MecanumBase

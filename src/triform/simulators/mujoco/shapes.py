@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from triform.geometry.footprint import Footprint
 from triform.simulation.arena import Arena
-from triform.simulation.profiles import Footprint
 from triform.simulators.chassis import CENTRE_OF_MASS, HEIGHT, WALL_HEIGHT, WALL_THICKNESS, moments_of_inertia
 
 #: What touches other bodies by MuJoCo's own bits, without friction; all else touches only what a pair names.
