@@ -45,7 +45,9 @@ assert new <= set(sys.stdlib_module_names) | {"triform"}, new
 def test_no_name_needs_an_extra() -> None:
     code = f"""
 import sys
-extras = {{"pyarrow", "matplotlib", "PIL", "torch", "safetensors", "tensorboard", "onnx", "ray", "serial", "scipy"}}
+extras = {{
+    "pyarrow", "matplotlib", "PIL", "torch", "safetensors", "tensorboard", "onnx", "pyrvo", "ray", "serial", "scipy",
+}}
 class Without:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] in extras:

@@ -16,6 +16,7 @@ from triform.evaluation import Scenario
 from triform.evaluation.events import Event
 from triform.evaluation.filters import team_settings
 from triform.evaluation.overrides import Overrides
+from triform.evaluation.scenario import Guard
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.experiments.settings import describe
 from triform.mixed import MixedView
@@ -37,7 +38,7 @@ def _view(scenario: Scenario, seconds: float = 1.0) -> MixedView:
 
 
 def test_each_kind_is_steered_as_a_team_of_its_own_with_its_scans() -> None:
-    scenario = Scenario(MIXED, guard=False)
+    scenario = Scenario(MIXED, guard="none")
     view = _view(scenario)
     for name in ("policy", "scan-pipeline"):
         commands = scenario.make_controller(name).command(view)
@@ -74,8 +75,8 @@ def test_a_lidar_without_intensities_is_named() -> None:
         Scenario("hardware:2 turtlebot4:3", overrides=Overrides(min_intensity=230.0))
 
 
-@pytest.mark.parametrize("guard", [True, False])
-def test_a_made_controller_stays_as_it_is_and_runs_like_its_name(guard: bool) -> None:
+@pytest.mark.parametrize("guard", ["filter", "none"])
+def test_a_made_controller_stays_as_it_is_and_runs_like_its_name(guard: Guard) -> None:
     bright = Overrides(min_intensity=150.0)
     scenario = Scenario("hardware:2 ideal:1", duration=5.0, guard=guard, overrides=bright)
     made = scenario.make_controller("scan-pipeline")

@@ -177,7 +177,7 @@ def test_variants_can_be_sent_to_another_machine():
     assert far.description == controller.description
     assert far.description["position_noise"] == 0.02
     assert "guard" in far.description
-    bare = Scenario(guard=False).make_controller(Variant().controller(1.0))
+    bare = Scenario(guard="none").make_controller(Variant().controller(1.0))
     assert bare.description == Triangulating().description
 
 

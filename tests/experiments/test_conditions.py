@@ -7,7 +7,7 @@ import pytest
 from tests.options import options, scenario
 from triform.evaluation.scenario import Scenario
 from triform.experiments.conditions import CONDITIONS, SWEEPS, ConditionsConfig
-from triform.experiments.grid import flat
+from triform.experiments.grid import Grid, flat
 from triform.types import ConfigurationError
 
 
@@ -17,7 +17,7 @@ def test_every_condition_is_swept_over_every_size():
     assert tuple(SWEEPS) == CONDITIONS
     assert counted == {
         "range-noise": 12, "dropped-rays": 10, "scan-rate": 10, "latency": 12, "speed": 10, "acceleration": 8,
-        "lag": 10, "footprint": 14, "arena": 8, "team-size": 10, "distance": 10, "event": 9,
+        "lag": 10, "footprint": 14, "arena": 8, "team-size": 10, "distance": 10, "event": 9, "guard": 6,
     }  # fmt: skip
     assert len({cell.key for cell in cells}) == len(cells)
     assert len({cell.name for cell in cells}) == len(cells)
@@ -44,6 +44,20 @@ def test_values_are_in_the_units_of_the_scenario():
     assert cells["team-size", "13"].scenario.duration == 40.0
     assert cells["team-size", "25"].scenario.duration == 120.0
     assert cells["event", "meet"].robots == 9
+
+
+def test_a_guard_that_does_not_go_with_the_robots_is_left_out():
+    config = options(ConditionsConfig, controller="expert", which=("guard",), robots=(4,), profile="turtlebot4")
+    grid = Grid(config.list_cells({"guard"}))
+    assert [cell.labels["label"] for cell in grid.cells] == ["filter", "none"]
+    assert list(grid.skipped) == ["guard orca, 4 robots"]
+    assert "differential base" in grid.skipped["guard orca, 4 robots"]
+
+
+def test_orca_in_one_arena_is_not_that_of_another():
+    config = options(ConditionsConfig, controller="expert", which=("arena",), robots=(4,), runs=1, guard="orca")
+    grid = Grid([cell for cell in config.list_cells({"arena"}) if cell.labels["label"] in ("open", "room-6")])
+    assert len({id(grid.controller(cell)) for cell in grid.cells}) == 2
 
 
 def test_the_ideal_profile_is_one_value_of_its_conditions():

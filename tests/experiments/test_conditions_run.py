@@ -211,3 +211,14 @@ def test_failed_runs_are_drawn_as_they_were_measured(folder):
         for name in measured:
             np.testing.assert_array_equal(table[name], measured[name][run : run + 1], err_msg=name)
         assert failure.trajectory.poses.shape[0] == 1
+
+
+def test_a_page_says_what_the_controller_sees_whatever_guards_it(tmp_path, listener):
+    for controller, sees_poses in (("scan-pipeline", False), ("expert", True)):
+        changes = {"controller": controller, "which": ("guard",), "robots": (3,), "runs": 1, "failures": 0}
+        output = tmp_path / controller
+        run_conditions(options(ConditionsConfig, output=output, guard="orca", **(QUICK | changes)), listener)
+        page = (output / "conditions.md").read_text()
+        assert "Robots drive behind ORCA." in page
+        assert ("This controller sees true poses" in page) == sees_poses
+        assert [cell["label"] for cell in summaries(output)] == ["filter", "orca", "none"]

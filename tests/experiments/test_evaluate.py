@@ -169,7 +169,7 @@ def test_the_smallest_teams_have_defined_results(robots, tmp_path, listener):
 
 
 def test_arena_hits_are_reported(tmp_path):
-    scenario = Scenario(arena="room-6", duration=6.0, guard=False)
+    scenario = Scenario(arena="room-6", duration=6.0, guard="none")
     _, table = scenario.run(np.array([[[2.8, 0.0, 0.0], [2.3, 0.0, 0.0]]]), "expert-sensed", seed=0)
     assert table["hit_arena"].all()
 
@@ -263,8 +263,8 @@ class Rammer:
         return np.stack([cos * x + sin * y, cos * y - sin * x, np.zeros_like(x)], axis=-1)
 
 
-def test_the_safety_filter_belongs_to_the_scenario_whoever_steers():
+def test_the_guard_belongs_to_the_scenario_whoever_steers():
     poses = sample_starts(7, 20, 7)
-    for guard, overlaps in ((True, 0.0), (False, 1.0)):
+    for guard, overlaps in (("filter", 0.0), ("orca", 0.0), ("none", 1.0)):
         _, table = Scenario(guard=guard, duration=10.0).run(poses, Rammer())
         assert table["collision"].mean() == overlaps

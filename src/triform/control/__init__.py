@@ -6,6 +6,7 @@ from triform.control.intensity import IntensityThreshold, bright_returns
 from triform.control.learned import LearnedPolicy
 from triform.control.loop import control_steps, drive
 from triform.control.mixed import MixedController
+from triform.control.orca import OrcaFilter, OrcaSettings
 from triform.control.registry import (
     CONTROLLERS,
     POLICY,
@@ -32,6 +33,8 @@ __all__ = [
     "IntensityThreshold",
     "LearnedPolicy",
     "MixedController",
+    "OrcaFilter",
+    "OrcaSettings",
     "SafetyFilter",
     "SafetySettings",
     "ScanPipeline",

@@ -1,13 +1,17 @@
-"""Safety filters of a team: what those of each kind of robots need to know of the others."""
+"""What stands between controllers and wheels of a team: settings of its safety filters, and of ORCA in their place."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from triform.control import SafetySettings
+from triform.control import OrcaSettings, SafetySettings
 from triform.robots.filter import safety_settings
 from triform.simulation import Profile
+from triform.types import require
+
+#: What ORCA's disc is larger than the circle around the footprint [m]: the library computes in single precision.
+ORCA_MARGIN = 0.01
 
 
 def team_settings(profiles: Sequence[Profile]) -> list[SafetySettings]:
@@ -28,6 +32,26 @@ def team_settings(profiles: Sequence[Profile]) -> list[SafetySettings]:
         replace(settings, reaction=slowest, min_gap=settings.min_gap + (max(corners) - own))
         for settings, own in zip(alone, corners, strict=True)
     ]
+
+
+def orca_settings(profiles: Sequence[Profile]) -> OrcaSettings:
+    """Return the settings of ORCA for a team.
+
+    Args:
+        profiles: The kinds, with the limits that their bases keep.
+
+    Raises:
+        ConfigurationError: There are several kinds, the base is differential, or its speed has no limit.
+    """
+    require(len(profiles) == 1, "guard is 'orca', which steers robots of one profile alone")
+    robot, drive = profiles[0], profiles[0].drive
+    robot.require_holonomic("guard 'orca'")
+    return OrcaSettings(
+        robot.footprint.circumradius + ORCA_MARGIN,
+        robot.control_period,
+        max_speed=drive.max_speed,
+        max_axis_speed=drive.max_axis_speed,
+    )
 
 
 def _corner(profile: Profile) -> float:

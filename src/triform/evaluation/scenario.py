@@ -16,12 +16,13 @@ from triform.control import (
     ControllerSpec,
     IntensityThreshold,
     MixedController,
+    OrcaFilter,
     SafetyFilter,
     control_steps,
     make_controller,
 )
 from triform.evaluation.events import Event, EventRun, run_event
-from triform.evaluation.filters import team_settings
+from triform.evaluation.filters import orca_settings, team_settings
 from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
 from triform.evaluation.placement import blocked_starts
@@ -56,10 +57,19 @@ from triform.types import (
 
 SimulatorName = Literal["builtin", "mujoco", "gazebo"]
 SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "mujoco", "gazebo")
+Guard = Literal["filter", "orca", "none"]
+#: What stands between controller and wheels, and how pages say so.
+GUARDS: dict[Guard, str] = {
+    "filter": "behind the safety filter",
+    "orca": "behind ORCA",
+    "none": "without the safety filter",
+}
 #: A million seconds are eleven days.
 _LONGEST = 1_000_000
 #: Step of Gazebo's physics for each base [s].
 GAZEBO_STEPS: dict[Base, float] = {"planar": 0.01, "mecanum": 0.001}
+#: Controllers that have a guard already.
+_GUARDED = (SafetyFilter, OrcaFilter)
 
 
 @dataclass(frozen=True)
@@ -74,8 +84,9 @@ class Scenario:
         sight: How far robots look with their LiDARs [d*], which reach 8 m at most; the paper's look 2 d* far.
         duration: Length of every run [s].
         event: What happens during a run: join, leave, push, stuck or meet, with its time, such as join@15.
-        guard: Whether the safety filter between controller and wheels keeps robots from driving into what their scans
-            show; it belongs to the scenario, whoever steers.
+        guard: What stands between controller and wheels, whoever steers: the safety filter, which keeps robots from
+            driving into what their scans show (filter), optimal reciprocal collision avoidance, which sees the true
+            poses and velocities of all (orca), or nothing (none).
         simulator: Simulator of the robots' bodies: builtin, or with mass and contacts mujoco, or gazebo for Gazebo 11.
         base: How MuJoCo and Gazebo move a robot: by a force in the plane (planar), or on its wheels, whose physics
             takes longer: four mecanum wheels of a holonomic robot (mecanum), or in MuJoCo two driven wheels and casters
@@ -92,7 +103,7 @@ class Scenario:
     sight: float = SIGHT
     duration: float = 40.0
     event: Event | None = None
-    guard: bool = True
+    guard: Guard = "filter"
     simulator: SimulatorName = "builtin"
     base: Base = "planar"
     overrides: Overrides = field(default_factory=Overrides)
@@ -117,6 +128,7 @@ class Scenario:
         )
         require_at_most("duration", self.duration, _LONGEST, " s")
         require(self.simulator in SIMULATORS, f"simulator is {self.simulator!r}; allowed are {', '.join(SIMULATORS)}")
+        require(self.guard in tuple(GUARDS), f"guard is {self.guard!r}; allowed are {', '.join(GUARDS)}")
         require(self.base in BASES, f"base is {self.base!r}; allowed are {', '.join(BASES)}")
         require(
             self.base == "planar" or self.simulator != "builtin",
@@ -192,14 +204,15 @@ class Scenario:
         return control_steps(self.duration, self.team.control_period)
 
     def make_controller(self, controller: Controller[Any] | str | ControllerSpec = "policy") -> Controller[Any]:
-        """Make a controller for these robots, behind the safety filter unless ``guard`` is off.
+        """Make a controller for these robots, behind the ``guard``.
 
-        With a ``min_intensity`` it does not see what is dimmer; the filter does.
+        With a ``min_intensity`` it does not see what is dimmer; the guard does.
 
         Args:
-            controller: The name of one, or one without its filter; one that has a filter already stays as it is.
+            controller: The name of one, or one without its guard; one that has a guard already stays as it is.
 
         Raises:
+            ConfigurationError: ORCA does not go with these robots, or is not installed.
             TriformError: There is no such controller, or its weights cannot be used.
         """
         if isinstance(controller, MixedController):
@@ -207,10 +220,13 @@ class Scenario:
         team, first = self.team, self._make_own(controller, self.team.profiles[0])
         everyone = first if team.is_mixed and first.privileged else None
         own = [first] + [everyone or self._make_own(controller, profile) for profile in team.profiles[1:]]
-        if self.guard:
+        if self.guard == "orca" and not isinstance(own[0], _GUARDED):
+            arena = self.surroundings
+            own = [OrcaFilter(own[0], orca_settings(self.driven), arena.walls, arena.pillars)]
+        elif self.guard == "filter":
             settings = team_settings(self.driven)
             own = [
-                each if isinstance(each, SafetyFilter) else SafetyFilter(each, rules)
+                each if isinstance(each, _GUARDED) else SafetyFilter(each, rules)
                 for each, rules in zip(own, settings, strict=True)
             ]
         return MixedController(own, everyone) if team.is_mixed else own[0]
@@ -230,7 +246,7 @@ class Scenario:
             made = copy.copy(controller) if mixed else controller
         threshold = profile.lidar.min_intensity
         # One that sees all poses of a mixed team sees no scans.
-        sees_scans = not (mixed and made.privileged) and not isinstance(made, SafetyFilter | IntensityThreshold)
+        sees_scans = not (mixed and made.privileged) and not isinstance(made, (*_GUARDED, IntensityThreshold))
         return IntensityThreshold(made, threshold) if sees_scans and threshold is not None else made
 
     def sample_starts(self, robots: int, runs: int, seed: int, first: int = 0) -> FloatArray:
@@ -251,7 +267,7 @@ class Scenario:
 
         Args:
             poses: Starts, shape (B, N, 3) [m, m, rad].
-            controller: A controller, or the name of one. The safety filter of the scenario is put behind it.
+            controller: A controller, or the name of one. The guard of the scenario is put behind it.
             seed: Seed of the runs.
             indices: Index of every run, shape (B,); a run is a function of start, team size, seed and index alone.
                 They count from 0 if omitted.

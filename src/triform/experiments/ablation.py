@@ -12,7 +12,7 @@ import numpy as np
 from triform.control import Triangulating, TriangulatingLaw
 from triform.control.triangulating import BLOCKING_RADIUS
 from triform.evaluation.runs import Execution
-from triform.evaluation.scenario import Scenario
+from triform.evaluation.scenario import GUARDS, Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import measure_in_folder, open_grid, spread_out
 from triform.experiments.paired import Row, compare_rows, explain_p, format_p
@@ -222,7 +222,7 @@ def make_section(config: AblateConfig, summaries: Sequence[dict[str, Any]], pair
         f"{config.runs} random starts per variant and team size with seed {config.seed}, "
         f"{scenario.duration:g} s each, {LARGE_TEAM_TIME * scenario.duration:g} s for more than {LARGE_TEAM} robots; "
         f"profile {scenario.profile}, arena {scenario.arena}, prescribed distance {scenario.distance:g} m, "
-        f"{'behind' if scenario.guard else 'without'} the safety filter. Robots see true positions in range that "
+        f"{GUARDS[scenario.guard]}. Robots see true positions in range that "
         "no robot hides. Strict: the run ends in a true triangulation; success: the formation error of the last 5 s is "
         "below 10 %; strict at: median time from which runs are strict to the end, of those that are. Numbers in "
         "headings: robots. Bars and brackets are Wilson's 95 % intervals, the vertical line is the whole law. "

@@ -9,7 +9,7 @@ from typing import Any
 
 from triform.control import ControllerSpec
 from triform.evaluation.runs import Execution
-from triform.evaluation.scenario import Scenario
+from triform.evaluation.scenario import GUARDS, Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import Grid, measure_in_folder, open_grid, spread_out
 from triform.experiments.paired import Row, compare_rows, explain_p, format_p
@@ -223,7 +223,6 @@ def list_sections(
 
 def _overview(config: CompareConfig, skipped: Mapping[str, str], comparisons: str) -> str:
     scenario = config.scenario
-    guarded = "behind" if scenario.guard else "without"
     parts = [
         f"Share of runs that end in a true triangulation, by number of robots; * in the profile {REAL_PROFILE}, the "
         f"others in the profile {scenario.profile}; a dash is what is not done, here and below, or what no run "
@@ -231,7 +230,7 @@ def _overview(config: CompareConfig, skipped: Mapping[str, str], comparisons: st
         f"random starts with seed {config.seed} for every controller: {config.runs} of every team of at most "
         f"{LARGE_TEAM} robots, {scenario.duration:g} s each, and {config.large_runs} of every larger one, "
         f"{LARGE_TEAM_TIME * scenario.duration:g} s each. Arena {scenario.arena}, prescribed distance "
-        f"{scenario.distance:g} m, {guarded} the safety filter. Sees: "
+        f"{scenario.distance:g} m, {GUARDS[scenario.guard]}. Sees: "
         "from what a robot's command is computed, without the filter. Parameters: numbers of the network. Step: median "
         "time from one robot's scan to its command on one thread of this machine, the filter included, measured for "
         f"all controllers in turns before the runs; for those that see poses, a step of a team of {TEAM} over {TEAM}."

@@ -10,12 +10,12 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from triform.control import POLICY, ControllerSpec
+from triform.control import POLICY, ControllerSpec, OrcaFilter
 from triform.evaluation.events import EVENT_TIME, EVENTS, MEETING, MEETING_GAP, PUSH_LENGTH, Event, EventKind
 from triform.evaluation.metrics import RunTable
 from triform.evaluation.overrides import Overrides
 from triform.evaluation.runs import Execution
-from triform.evaluation.scenario import Scenario
+from triform.evaluation.scenario import GUARDS, Scenario
 from triform.experiments.cell import Cell
 from triform.experiments.grid import Grid, measure_in_folder, open_grid, read_labels
 from triform.experiments.paired import MEANING, Row, compare_rows, explain_p, format_p
@@ -32,7 +32,7 @@ from triform.types import BoolArray, convert_fields, require
 
 Condition = Literal[
     "range-noise", "dropped-rays", "scan-rate", "latency", "speed", "acceleration", "lag", "footprint", "arena",
-    "team-size", "distance", "event",
+    "team-size", "distance", "event", "guard",
 ]  # fmt: skip
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
 
@@ -83,6 +83,7 @@ SWEEPS: dict[Condition, Sweep] = {
     "team-size": Sweep("robots", "", "robots", {str(size): size for size in (2, 3, 4, 5, 7, 9, 13, 25, 50, 100)}),
     "distance": Sweep("prescribed distance", "m", "distance", _numbers(0.6, 0.8, 1, 1.25, 1.5)),
     "event": Sweep("event", "", "event", {name: name for name in EVENTS}),
+    "guard": Sweep("guard", "", "guard", {name: name for name in GUARDS}),
 }
 
 
@@ -224,7 +225,8 @@ def run_conditions(config: ConditionsConfig, listener: Listener = SILENT) -> lis
             save_figure(conditions_figure(summaries, headings), config.output / f"{_NAME}.png")
             if failures:
                 save_figure(failures_figure(failures), config.output / "failures.png")
-        privileged = grid.controller(grid.cells[0]).privileged
+        first = grid.controller(grid.cells[0])
+        privileged = (first.controller if isinstance(first, OrcaFilter) else first).privileged
         paired = compare_values(grid)
         sections = list_sections(config, summaries, grid.skipped, len(failures), privileged, paired)
         tables = [section for section in sections if section.rows]
@@ -270,6 +272,8 @@ _NOTES: dict[Condition, str] = {
     "lag": "Time constant with which the base's velocity follows the command.",
     "team-size": "Teams of more than 13 robots get three times the duration. A team of two can never be strict.",
     "distance": "What robots see grows with d*, and so do starts.",
+    "guard": "What stands between controller and wheels. Filter: a robot's own scan limits its command; orca: optimal "
+    "reciprocal collision avoidance, which sees the true poses and velocities of all robots; none: nothing.",
 }
 
 
@@ -320,6 +324,8 @@ def _overview(config: ConditionsConfig, skipped: Mapping[str, str], privileged: 
         "closest: smallest distance between two centres; overlaps: runs in which two footprints ever overlapped; hits: "
         "runs in which one overlapped a wall or pillar."
     ]
+    if scenario.guard != "filter":
+        parts.append(f"Robots drive {GUARDS[scenario.guard]}.")
     if meaning:
         parts.append(meaning)
     if privileged:

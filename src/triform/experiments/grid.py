@@ -113,7 +113,7 @@ class Grid:
         return self._digests[cell] in self._tables
 
     def controller(self, cell: Cell) -> Controller[Any]:
-        """Return the controller of a cell, with the safety filter of its scenario."""
+        """Return the controller of a cell, with the guard of its scenario."""
         return self._controllers[_kind(cell)]
 
     def digest(self, cell: Cell) -> str:
@@ -297,10 +297,12 @@ def spread_out(
 
 
 def _kind(cell: Cell) -> Any:
-    """What a controller is made for: its name or itself, distance, robots, limits of the base, filter."""
+    """What a controller is made for: its name or itself, distance, robots, limits of the base, guard."""
     scenario, given = cell.scenario, cell.controller
     who = given if isinstance(given, ControllerSpec) else id(given)
-    return who, scenario.distance, scenario.team, scenario.driven, scenario.guard
+    # ORCA knows the obstacles.
+    arena = scenario.arena if scenario.guard == "orca" else ""
+    return who, scenario.distance, scenario.team, scenario.driven, scenario.guard, arena
 
 
 def _read_tables(
