@@ -6,6 +6,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from triform.control import POLICY, ControllerSpec
 from triform.evaluation.metrics import summarise
 from triform.evaluation.scenario import Scenario
@@ -14,6 +16,8 @@ from triform.figures.animation import animate
 from triform.figures.runs import Scene, run_figure
 from triform.figures.style import save_figure
 from triform.limits import LARGEST_INDEX, check_threads, require_at_most, require_memory
+from triform.recordings.description import RunSetting
+from triform.recordings.kept import keep_runs
 from triform.report.listener import SILENT, Listener
 from triform.report.output import own_folder, write_json
 from triform.report.tables import WIDE, legend, summary_rows
@@ -31,7 +35,8 @@ class DemoConfig:
         robots: Number of robots.
         seed: The start is a function of team size, seed and index alone.
         index: Which start: run ``index`` of an evaluation with the same team size and seed.
-        output: Folder for the picture, the animation and the measures.
+        output: Folder for the picture, the animation, the measures, and the poses and commands that triform measure
+            reads.
         threads: Threads of the whole command; one for each processor if omitted.
         scenario: Everything else about the run.
     """
@@ -55,14 +60,14 @@ class DemoConfig:
 
 
 def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
-    """Run one team, show its measures and write a picture, an animation and the measures.
+    """Run one team, show its measures and write a picture, an animation, the measures and what happened.
 
     Args:
         config: What to run and where to put the files.
         listener: Hears of progress, tables and files.
 
     Returns:
-        The files written: PNG, GIF and JSON.
+        The files written: PNG, GIF, JSON and Parquet.
 
     Raises:
         TriformError: The folder cannot be written, or a name in the configuration is unknown.
@@ -99,6 +104,14 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
                     config.output / "demo.json", {"config": settings, "wall_seconds": took, "results": [result]}
                 ),
             ]
+            with keep_runs(config.output / "run.parquet") as writer:
+                writer.add(
+                    trajectory,
+                    RunSetting.of(scenario, trajectory.poses.shape[2]),
+                    {"run": np.array([config.index]), **table},
+                )
+                writer.describe(settings)
+        paths.append(config.output / "run.parquet")
         for path in paths:
             listener.say(f"wrote {path}")
         return paths

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from triform.control import POLICY, ControllerSpec
 from triform.engines import Engine
+from triform.evaluation.metrics import RunTable
+from triform.evaluation.rollout import Trajectory
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell, Starts
-from triform.experiments.grid import Grid, measure_grid
+from triform.experiments.grid import Grid, Keep, measure_grid
 from triform.experiments.settings import check_teams, describe, flat, team_sizes
+from triform.recordings.description import RunSetting
+from triform.recordings.kept import RunWriter, keep_runs
 from triform.report.listener import SILENT, Listener
 from triform.report.results import Evaluation, ResultFiles, show_results
 from triform.simulation import load_starts
@@ -36,6 +42,7 @@ class EvaluateConfig:
             numbers.
         json: File for the summary.
         parquet: File for one row per run; by default beside the summary.
+        keep: File for what happened in every run, in Parquet: poses and commands, as triform measure reads them.
         scenario: Everything else about the runs.
         execution: Where the runs are computed.
     """
@@ -47,6 +54,7 @@ class EvaluateConfig:
     starts: Path | None = None
     json: Path | None = None
     parquet: Path | None = None
+    keep: Path | None = None
     scenario: Scenario = field(default_factory=Scenario)
     execution: Execution = field(default_factory=Execution)
 
@@ -85,6 +93,7 @@ def evaluate(
     listener: Listener = SILENT,
     on_size: Callable[[Evaluation], None] | None = None,
     engine: Engine | None = None,
+    keep: Keep | None = None,
 ) -> Evaluation:
     """Run and measure every start of every team size.
 
@@ -93,6 +102,7 @@ def evaluate(
         listener: Hears of progress.
         on_size: Called with what was found so far whenever a team size is done.
         engine: Where to run; what ``config`` names if omitted.
+        keep: Called with what happened, in the order of cells and runs.
 
     Returns:
         Measures of every run; the same to the bit with any engine and any number of threads.
@@ -103,23 +113,24 @@ def evaluate(
     """
     cells = config.cells
     grid = Grid(cells)
-    options = flat(config, without=("json", "parquet"))
+    options = flat(config, without=("json", "parquet", "keep"))
     evaluation = Evaluation(options | describe(config.scenario, grid.controller(grid.cells[0])))
 
-    def keep(seconds: float) -> None:
+    def on_cell(seconds: float) -> None:
         evaluation.tables = [grid.table(cell) for cell in grid.done]
         evaluation.wall_seconds = seconds
         if on_size is not None:
             on_size(evaluation)
 
-    measure_grid(grid, config.execution, keep, listener, engine, "evaluating")
+    measure_grid(grid, config.execution, on_cell, listener, engine, "evaluating", keep)
     return evaluation
 
 
 def run_evaluate(config: EvaluateConfig, listener: Listener = SILENT) -> Evaluation:
     """Evaluate, keep the results in files and show the table.
 
-    Files are rewritten whenever a team size is done, so an interrupted evaluation keeps the finished sizes.
+    Summary and table are rewritten whenever a team size is done, so an interrupted evaluation keeps the finished sizes;
+    trajectories are kept when all are.
 
     Args:
         config: What to run and which files to write.
@@ -132,8 +143,16 @@ def run_evaluate(config: EvaluateConfig, listener: Listener = SILENT) -> Evaluat
         TriformError: A file cannot be written, which is found out before the first run, or as ``evaluate``.
     """
     files = ResultFiles(config.json, config.parquet)
-    evaluation = evaluate(config, listener, files.write)
+    with nullcontext() if config.keep is None else keep_runs(config.keep) as writer:
+        keep = None if writer is None else partial(_keep, writer)
+        evaluation = evaluate(config, listener, files.write, keep=keep)
+        if writer is not None:
+            writer.describe(evaluation.config)
     show_results(evaluation, config.controller.label, listener)
-    for path in files.paths:
+    for path in [*files.paths, *filter(None, [config.keep])]:
         listener.say(f"wrote {path}")
     return evaluation
+
+
+def _keep(writer: RunWriter, cell: Cell, trajectory: Trajectory, measures: RunTable) -> None:
+    writer.add(trajectory, RunSetting.of(cell.scenario, trajectory.poses.shape[2]), measures)
