@@ -3,25 +3,54 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 from rich.console import Console
 
 from triform.commands.drive_screen import DriveScreen
 from triform.robots.drive import DriveConfig, run_drive
+from triform.types import require
 
 
 @dataclass(frozen=True)
 class Drive(DriveConfig):
-    """Options of ``triform drive``."""
+    """Options of ``triform drive``.
+
+    Attributes:
+        keep: File for odometry and commands, in Parquet, made of the recording when the drive ends.
+    """
 
     GROUPS: ClassVar[dict[str, tuple[str, ...]]] = {
         "body": ("profile", "footprint", "max_speed", "max_turn_rate"),
         "lidar": ("lidar", "lidar_model", "mounting", "lidar_position", "upside_down", "blind_sector", "min_intensity"),
         "base": ("address", "usb", "local_address", "watchdog", "odometry"),
-        "recording": ("record", "robot", "start_pose"),
+        "recording": ("record", "keep", "robot", "start_pose"),
     }
+
+    keep: Path | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.keep is None or self.record is not None, "keep is given without record, of which it is made")
 
     def run(self, console: Console) -> None:
         """Drive, show how it goes, and where the time went."""
-        run_drive(self, DriveScreen(console, self.outline, self.dry_run, self.threshold))
+        screen = DriveScreen(console, self.outline, self.dry_run, self.threshold)
+        if self.keep is None or self.record is None:
+            run_drive(self, screen)
+            return
+        from triform.recordings.kept import keep_runs
+        from triform.recordings.robots import write_drive
+
+        with keep_runs(self.keep, "odometry") as writer:
+            ended = None
+            try:
+                run_drive(self, screen)
+            except SystemExit as error:
+                # A signal ends most drives.
+                ended = error
+            write_drive(writer, self.record, self)
+        screen.say(f"kept in {self.keep}")
+        if ended is not None:
+            raise ended

@@ -110,7 +110,7 @@ class RunWriter:
             np.repeat(run.time, robots),
             np.tile(np.arange(robots, dtype=np.int32), records),
             *(np.where(there, run.poses[0, ..., k], np.nan).ravel() for k in range(3)),
-            *(np.where(there, held[..., k], np.nan).ravel() for k in range(3)),
+            *(held[..., k].ravel() for k in range(3)),
         ]
         return pa.table([pa.array(column, from_pandas=True) for column in columns], schema=self._schema)
 
@@ -194,8 +194,6 @@ class KeptRuns:
         active = ~np.isnan(poses).any(axis=-1)
         if not (np.isnan(poses[~active]).all() and is_plausible(poses[active])):
             raise TriformError(f"{where}: a pose is not whole, or absurd")
-        # What a robot is told that does not exist moves nobody.
-        commands[~active[:, :-1]] = 0.0
         return Trajectory(time, poses, active, commands)
 
 
