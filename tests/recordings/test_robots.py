@@ -55,7 +55,7 @@ def recorded(tmp_path):
 
 def test_a_drive_keeps_odometry_and_says_that_it_is_that(recorded, tmp_path):
     config = Drive(record=recorded, keep=tmp_path / "run.parquet", footprint="circle:0.3", distance=0.8)
-    with keep_runs(config.keep, "odometry") as writer:
+    with keep_runs(config.keep, source="odometry") as writer:
         write_drive(writer, recorded, config)
     runs = open_runs(config.keep)
     assert runs.description.source == "odometry"
@@ -72,7 +72,7 @@ def test_a_drive_that_recorded_nothing_keeps_nothing(recorded, tmp_path):
     (recorded / "steps.csv").write_text("\n".join(STEPS.split("\n")[:2]) + "\n")
     with (
         pytest.raises(TriformError, match="less than two steps"),
-        keep_runs(tmp_path / "run.parquet", "odometry") as writer,
+        keep_runs(tmp_path / "run.parquet", source="odometry") as writer,
     ):
         write_drive(writer, recorded, Drive(record=recorded))
     assert not (tmp_path / "run.parquet").exists()

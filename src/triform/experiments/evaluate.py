@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -20,11 +19,11 @@ from triform.experiments.cell import Cell, Starts
 from triform.experiments.grid import Grid, Keep, measure_grid
 from triform.experiments.settings import check_teams, describe, flat, team_sizes
 from triform.recordings.description import RunSetting
-from triform.recordings.kept import RunWriter, keep_runs
+from triform.recordings.kept import Writers, check_kept, keep_runs
 from triform.report.listener import SILENT, Listener
 from triform.report.results import Evaluation, ResultFiles, show_results
 from triform.simulation import load_starts
-from triform.types import convert_fields
+from triform.types import convert_fields, require
 
 
 @dataclass(frozen=True)
@@ -43,6 +42,7 @@ class EvaluateConfig:
         json: File for the summary.
         parquet: File for one row per run; by default beside the summary.
         keep: File for what happened in every run, in Parquet: poses and commands, as triform measure reads them.
+        mcap: File for what happened in the only run, in MCAP with Foxglove's schemas, for viewers.
         scenario: Everything else about the runs.
         execution: Where the runs are computed.
     """
@@ -55,6 +55,7 @@ class EvaluateConfig:
     json: Path | None = None
     parquet: Path | None = None
     keep: Path | None = None
+    mcap: Path | None = None
     scenario: Scenario = field(default_factory=Scenario)
     execution: Execution = field(default_factory=Execution)
 
@@ -62,6 +63,12 @@ class EvaluateConfig:
         convert_fields(self)
         object.__setattr__(self, "robots", team_sizes(self.scenario, self.robots, EvaluateConfig.robots))
         check_teams(self.robots, self.runs, self.seed)
+        check_kept(self.keep, self.mcap)
+        require(
+            self.mcap is None or (self.runs == 1 and len(self.robots) == 1),
+            f"mcap is given with {self.runs} runs of {len(self.robots)} team sizes; it holds one run, because viewers "
+            "play one, and triform demo --index shows any of them",
+        )
 
     @property
     def cells(self) -> list[Cell]:
@@ -113,7 +120,7 @@ def evaluate(
     """
     cells = config.cells
     grid = Grid(cells)
-    options = flat(config, without=("json", "parquet", "keep"))
+    options = flat(config, without=("json", "parquet", "keep", "mcap"))
     evaluation = Evaluation(options | describe(config.scenario, grid.controller(grid.cells[0])))
 
     def on_cell(seconds: float) -> None:
@@ -143,16 +150,15 @@ def run_evaluate(config: EvaluateConfig, listener: Listener = SILENT) -> Evaluat
         TriformError: A file cannot be written, which is found out before the first run, or as ``evaluate``.
     """
     files = ResultFiles(config.json, config.parquet)
-    with nullcontext() if config.keep is None else keep_runs(config.keep) as writer:
-        keep = None if writer is None else partial(_keep, writer)
-        evaluation = evaluate(config, listener, files.write, keep=keep)
-        if writer is not None:
-            writer.describe(evaluation.config)
+    kept = [path for path in (config.keep, config.mcap) if path is not None]
+    with keep_runs(*kept) as writer:
+        evaluation = evaluate(config, listener, files.write, keep=partial(_keep, writer) if kept else None)
+        writer.describe(evaluation.config)
     show_results(evaluation, config.controller.label, listener)
-    for path in [*files.paths, *filter(None, [config.keep])]:
+    for path in [*files.paths, *kept]:
         listener.say(f"wrote {path}")
     return evaluation
 
 
-def _keep(writer: RunWriter, cell: Cell, trajectory: Trajectory, measures: RunTable) -> None:
+def _keep(writer: Writers, cell: Cell, trajectory: Trajectory, measures: RunTable) -> None:
     writer.add(trajectory, RunSetting.of(cell.scenario, trajectory.poses.shape[2]), measures)

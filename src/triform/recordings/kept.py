@@ -6,10 +6,10 @@ a ``Description`` as JSON in its metadata.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Protocol
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from triform.files import cannot_write, open_atomically
 from triform.recordings.description import Description, Descriptions, RunSetting, Source, decode_description
 from triform.report.output import prepare_file
 from triform.report.tables import require_parquet
-from triform.types import ConfigurationError, TriformError, is_plausible
+from triform.types import ConfigurationError, TriformError, is_plausible, require
 
 #: Key of the description in the metadata of a file.
 KEY = b"triform"
@@ -29,6 +29,26 @@ _POSE, _TWIST = ("x", "y", "heading"), ("v_x", "v_y", "omega")
 COLUMNS = ("run", "time", "robot", *_POSE, *_TWIST)
 #: Times are Unix times at most, in units of the largest number of metres.
 _LATEST = 1e6
+
+
+class RunSink(Protocol):
+    """Writes runs into one file."""
+
+    def add(self, trajectory: Trajectory, setting: RunSetting, measures: RunTable) -> None:
+        """Write runs, as ``RunWriter.add``."""
+        ...
+
+    def describe(self, settings: dict[str, Any]) -> None:
+        """Say with which settings and controller the runs were made."""
+        ...
+
+    def close(self) -> None:
+        """Write what is left, and the description."""
+        ...
+
+    def give_up(self) -> None:
+        """Write nothing more."""
+        ...
 
 
 class RunWriter:
@@ -115,16 +135,62 @@ class RunWriter:
         return pa.table([pa.array(column, from_pandas=True) for column in columns], schema=self._schema)
 
 
-@contextmanager
-def keep_runs(path: Path, source: Source = "simulation") -> Iterator[RunWriter]:
-    """Give a writer of runs; the file is there once the block ends, and not at all if it fails.
+class Writers:
+    """Writes every run into each of some files."""
+
+    def __init__(self, writers: Sequence[RunSink]) -> None:
+        """Take the writers of the files."""
+        self._writers = writers
+
+    def add(self, trajectory: Trajectory, setting: RunSetting, measures: RunTable) -> None:
+        """Write runs, as ``RunWriter.add``."""
+        for each in self._writers:
+            each.add(trajectory, setting, measures)
+
+    def describe(self, settings: dict[str, Any]) -> None:
+        """Say with which settings and controller the runs were made."""
+        for each in self._writers:
+            each.describe(settings)
+
+
+def check_kept(keep: Path | None, mcap: Path | None) -> None:
+    """Refuse names of files by whose endings no reader would know them.
 
     Raises:
-        TriformError: The file cannot be written, or pyarrow is not installed.
+        ConfigurationError: One has another ending than .parquet, the other than .mcap.
     """
-    require_parquet()
+    for name, path, ending in (("keep", keep, ".parquet"), ("mcap", mcap, ".mcap")):
+        require(path is None or path.suffix == ending, f"{name} is {path}; the name of its file ends in {ending}")
+
+
+@contextmanager
+def keep_runs(*paths: Path | None, source: Source = "simulation") -> Iterator[Writers]:
+    """Give a writer of runs; the files are there once the block ends, and not at all if it fails.
+
+    Args:
+        paths: Where to: Parquet, or MCAP where the name ends in ``.mcap``; what is ``None`` is left out.
+        source: Where poses come from.
+
+    Raises:
+        TriformError: A file cannot be written, or pyarrow is not installed.
+        ModuleNotFoundError: foxglove-sdk is not installed, and a file is MCAP.
+    """
+    with ExitStack() as stack:
+        yield Writers([stack.enter_context(_open_writer(path, source)) for path in paths if path is not None])
+
+
+@contextmanager
+def _open_writer(path: Path, source: Source) -> Iterator[RunSink]:
+    """Give the writer of one file."""
+    kind: Callable[[Path, IO[bytes], Source], RunSink] = RunWriter
+    if path.suffix == ".mcap":
+        from triform.recordings.mcap import McapWriter
+
+        kind = McapWriter
+    else:
+        require_parquet()
     with open_atomically(prepare_file(path)) as file:
-        writer = RunWriter(path, file, source)
+        writer = kind(path, file, source)
         try:
             yield writer
             writer.close()
@@ -139,9 +205,9 @@ class KeptRuns:
         description: What the file says of them.
     """
 
-    def __init__(self, path: Path, file: Any, description: Description) -> None:
-        """Take an open Parquet file."""
-        self._path, self._file, self.description = path, file, description
+    def __init__(self, path: Path, description: Description) -> None:
+        """Take a file and its description."""
+        self._path, self.description = path, description
 
     def __len__(self) -> int:
         return len(self.description.runs)
@@ -165,8 +231,21 @@ class KeptRuns:
         """Read a run, B = 1.
 
         Raises:
-            TriformError: Its rows are damaged.
+            TriformError: Its records are damaged.
         """
+        raise NotImplementedError
+
+
+class ParquetRuns(KeptRuns):
+    """A Parquet file of kept runs."""
+
+    def __init__(self, path: Path, description: Description, file: Any) -> None:
+        """Take an open file and its description."""
+        super().__init__(path, description)
+        self._file = file
+
+    def trajectory(self, run: int) -> Trajectory:
+        """Read a run, B = 1, as ``KeptRuns.trajectory``."""
         import pyarrow as pa
 
         entry, where = self.description.runs[run], self.label(run)
@@ -217,7 +296,7 @@ def open_runs(path: Path) -> KeptRuns | None:
     description = decode_description(data, str(path))
     if file.num_row_groups != len(description.runs) or not set(COLUMNS) <= set(file.schema_arrow.names):
         raise TriformError(f"{path} cannot be read: its rows are not those of its {len(description.runs)} runs")
-    return KeptRuns(path, file, description)
+    return ParquetRuns(path, description, file)
 
 
 def _first_line(error: Exception) -> str:

@@ -68,7 +68,7 @@ def read_recordings(
     """
     try:
         refuse_device(path)
-        kept = open_runs(path) if path.suffix == ".parquet" else None
+        kept = _open_kept(path)
         if kept is not None:
             return _read_kept(kept, start, end)
         raw = _read(path, rate)
@@ -79,6 +79,15 @@ def read_recordings(
     if not recordings:
         raise TriformError(f"{path} holds no poses")
     return recordings
+
+
+def _open_kept(path: Path) -> KeptRuns | None:
+    """Open a file of kept runs; ``None`` if it is another one."""
+    if path.suffix == ".mcap":
+        from triform.recordings.mcap import open_mcap_runs
+
+        return open_mcap_runs(path)
+    return open_runs(path) if path.suffix == ".parquet" else None
 
 
 def _read_kept(kept: KeptRuns, start: float, end: float | None) -> list[Recording]:
@@ -101,8 +110,12 @@ def _read(path: Path, rate: float | None) -> list[RawRun]:
         return read_array(path, rate)
     if path.suffix == ".parquet":
         return read_parquet(path)
+    if path.suffix == ".mcap":
+        from triform.recordings.mcap import read_mcap
+
+        return read_mcap(path)
     if path.suffix != ".csv":
-        raise TriformError(f"{path} ends in {path.suffix!r}; recordings are read from .csv, .parquet or .npy")
+        raise TriformError(f"{path} ends in {path.suffix!r}; recordings are read from .csv, .parquet, .npy or .mcap")
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         is_motive = file.read(len(SIGNATURE)) == SIGNATURE
     return read_motive(path) if is_motive else read_csv(path)

@@ -10,7 +10,7 @@ import numpy as np
 from triform.evaluation.rollout import Trajectory
 from triform.files import refuse_device
 from triform.recordings.description import RunSetting
-from triform.recordings.kept import RunWriter
+from triform.recordings.kept import Writers
 from triform.robots.drive import DriveConfig
 from triform.robots.emulate import EmulateConfig, Emulation
 from triform.robots.recorder import DRIVE_FILE, STEPS_FILE
@@ -36,7 +36,7 @@ class EmulationLog:
         contacts = {"min_distance": world.min_distance, "collision": world.collided, "hit_arena": world.hit_arena}
         self._measures = {name: np.array(values) for name, values in contacts.items()}
 
-    def write(self, writer: RunWriter, config: EmulateConfig) -> None:
+    def write(self, writer: Writers, config: EmulateConfig) -> None:
         """Write all records as one run.
 
         Raises:
@@ -50,7 +50,7 @@ class EmulationLog:
         writer.add(trajectory, setting, {"run": np.array([config.index]), **self._measures})
 
 
-def write_drive(writer: RunWriter, folder: Path, config: DriveConfig) -> None:
+def write_drive(writer: Writers, folder: Path, config: DriveConfig) -> None:
     """Write what ``triform drive`` recorded of one robot as one run: poses by odometry, and commands.
 
     Args:
