@@ -18,7 +18,7 @@ from triform.evaluation.rollout import Trajectory
 from triform.files import cannot_write
 from triform.geometry import assess, gabriel_graph
 from triform.recordings.description import Descriptions, RunSetting, Source, decode_description
-from triform.recordings.formats import RawRun, make_track
+from triform.recordings.formats import RawRun, frame_run, planar_pose
 from triform.recordings.kept import KEY, KeptRuns
 from triform.report.output import plain
 from triform.simulation import Arena
@@ -251,24 +251,18 @@ def open_mcap_runs(path: Path) -> McapRuns | None:
 
 
 def read_mcap(path: Path) -> list[RawRun]:
-    """Read the transforms of an MCAP file of others: every child of a frame that has no parent is a robot.
+    """Read the transforms of an MCAP file of others, as ``frame_run`` says.
 
     Raises:
         TriformError: The file is damaged, or has no transforms in Foxglove's schemas.
     """
-    rows: dict[tuple[str, str], list[tuple[float, FloatArray]]] = {}
+    seen: dict[tuple[str, str], list[tuple[float, FloatArray]]] = {}
     for time, transforms in _transforms(path):
         for parent, child, pose in transforms:
-            rows.setdefault((parent, child), []).append((time, pose))
-    children = {child for _, child in rows}
-    tracks = {
-        child: make_track(f"{path}: robot {child}", np.array([t for t, _ in seen]), np.array([p for _, p in seen]))
-        for (parent, child), seen in rows.items()
-        if parent not in children
-    }
-    if not tracks:
+            seen.setdefault((parent, child), []).append((time, pose))
+    if not seen:
         raise TriformError(f"{path} has no messages of {' or '.join(_TRANSFORMS)}, from which poses are read")
-    return [RawRun(str(path), tracks)]
+    return [frame_run(str(path), seen)]
 
 
 def _reader(file: IO[bytes]) -> Any:
@@ -287,14 +281,10 @@ def _transforms(path: Path) -> Iterator[tuple[float, list[tuple[str, str, FloatA
             if schema.id not in kinds:
                 kinds[schema.id] = _message_class(schema)
             decoded = kinds[schema.id].FromString(message.data)
-            found = []
-            for each in decoded.transforms if schema.name == _TRANSFORMS[0] else [decoded]:
-                turn = each.rotation
-                heading = np.arctan2(
-                    2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y * turn.y + turn.z * turn.z)
-                )
-                pose = np.array([each.translation.x, each.translation.y, heading])
-                found.append((each.parent_frame_id, each.child_frame_id, pose))
+            found = [
+                (each.parent_frame_id, each.child_frame_id, planar_pose(each.translation, each.rotation))
+                for each in (decoded.transforms if schema.name == _TRANSFORMS[0] else [decoded])
+            ]
             yield message.log_time / _NANOSECONDS, found
 
 

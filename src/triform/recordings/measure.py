@@ -36,8 +36,8 @@ class MeasureConfig:
     """A measurement of recorded runs.
 
     Attributes:
-        files: Recorded runs: kept ones, .csv or .parquet with columns time, robot, x, y, heading, .npy, or a Motive
-            export in .csv.
+        files: Recorded runs: kept ones, .csv or .parquet with columns time, robot, x, y, heading, .npy, a Motive export
+            in .csv, .mcap, or folders of ROS 2 bags.
         distance: Prescribed neighbour distance d* [m]; that of the file if omitted, or 1 m where it has none.
         footprint: Outline of the robots: a name such as ep, circle:0.30 (diameter) or box:0.41x0.24 [m]; that of the
             file if omitted, or ep where it has none.

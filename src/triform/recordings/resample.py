@@ -55,7 +55,8 @@ def read_recordings(
     """Read all runs of a file; those that a simulation kept, and that are not cut, just as they were.
 
     Args:
-        path: Poses in ``.csv``, ``.parquet`` or ``.npy``, or a Motive export in ``.csv``.
+        path: Poses in ``.csv``, ``.parquet``, ``.npy`` or ``.mcap``, a Motive export in ``.csv``, or the folder of a
+            ROS 2 bag.
         rate: Records per second of an ``.npy`` file [Hz].
         start: What comes earlier after the first record of a run is left out [s].
         end: What comes later is left out [s]; nothing by default.
@@ -83,6 +84,8 @@ def read_recordings(
 
 def _open_kept(path: Path) -> KeptRuns | None:
     """Open a file of kept runs; ``None`` if it is another one."""
+    if path.is_dir():
+        return None
     if path.suffix == ".mcap":
         from triform.recordings.mcap import open_mcap_runs
 
@@ -106,6 +109,10 @@ def _read_kept(kept: KeptRuns, start: float, end: float | None) -> list[Recordin
 
 
 def _read(path: Path, rate: float | None) -> list[RawRun]:
+    if path.is_dir():
+        from triform.recordings.bags import read_bag
+
+        return read_bag(path)
     if path.suffix == ".npy":
         return read_array(path, rate)
     if path.suffix == ".parquet":
@@ -115,7 +122,9 @@ def _read(path: Path, rate: float | None) -> list[RawRun]:
 
         return read_mcap(path)
     if path.suffix != ".csv":
-        raise TriformError(f"{path} ends in {path.suffix!r}; recordings are read from .csv, .parquet, .npy or .mcap")
+        raise TriformError(
+            f"{path} ends in {path.suffix!r}; recordings are read from .csv, .parquet, .npy, .mcap or ROS 2 bags"
+        )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         is_motive = file.read(len(SIGNATURE)) == SIGNATURE
     return read_motive(path) if is_motive else read_csv(path)
