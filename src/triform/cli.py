@@ -31,6 +31,10 @@ _EXTRAS = {
     "mujoco": ("mujoco", "MuJoCo"),
     "ray": ("ray", "ray"),
     "serial": ("robot", "pyserial"),
+    "foxglove": ("mcap", "foxglove-sdk"),
+    "mcap": ("mcap", "mcap"),
+    "google": ("mcap", "protobuf"),
+    "rosbags": ("mcap", "rosbags"),
 }
 
 

@@ -18,29 +18,52 @@ _LOCK = ".lock"
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that ``path`` is never seen half written, not even after a power cut.
+    """Write a file so that ``path`` is never seen half written, as ``open_atomically`` says.
 
-    The bytes go to a temporary name of their own beside it, reach the disk, and only then take their name. Of several
+    Raises:
+        TriformError: If the folder cannot be written or the disk is full; ``path`` is then as it was.
+    """
+    with open_atomically(path) as file, _refusing(path):
+        file.write(data)
+
+
+@contextmanager
+def open_atomically(path: Path) -> Iterator[IO[bytes]]:
+    """Give a file to write, which is called ``path`` once the block ends.
+
+    So ``path`` is never seen half written, not even after a power cut: the bytes go to a temporary name of their own
+    beside it, reach the disk, and only then take their name. If the block fails, ``path`` is as it was. Of several
     processes that write one file, the last one wins. What a killed one left of it is removed.
 
     Raises:
         TriformError: If the folder cannot be written or the disk is full; ``path`` is then as it was.
     """
-    temporary = None
-    try:
+    with _refusing(path):
         _remove_leftovers(path.parent, f".{glob.escape(path.name)}.*.tmp")
         temporary, file = _open_temporary(path)
-        with file:
-            file.write(data)
+    try:
+        yield file
+        with _refusing(path):
             file.flush()
             os.fsync(file.fileno())
             temporary.replace(path)
-        _sync_folder(path.parent)
+            file.close()
+            _sync_folder(path.parent)
+    finally:
+        # Closing writes what is still in the buffer, of a file that is given up.
+        with suppress(OSError):
+            file.close()
+        with _refusing(path):
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Say in one sentence why ``path`` could not be written."""
+    try:
+        yield
     except OSError as error:
         raise cannot_write(path, error) from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 def _open_temporary(path: Path) -> tuple[Path, IO[bytes]]:

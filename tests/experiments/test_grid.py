@@ -142,7 +142,7 @@ def test_the_work_can_be_sent_to_another_machine(done):
     _, found = done
     task = measured._MeasureChunks({0: CELLS[0]}, {0: found.controller(CELLS[0])})
     far = pickle.loads(pickle.dumps(task))
-    table = far(measured._Chunk(0, 1, 1), lambda work: None)
+    table, _ = far(measured._Chunk(0, 1, 1), lambda work: None)
     for name, column in table.items():
         np.testing.assert_array_equal(column, found.table(CELLS[0])[name][1:], err_msg=name)
 

@@ -7,6 +7,7 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 import tyro
@@ -20,6 +21,7 @@ from triform.experiments import reproduce as module
 from triform.experiments.demo import DemoConfig, run_demo
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.experiments.reproduce import KEYS, ReproduceConfig, run_reproduce
+from triform.recordings.measure import MeasureConfig, run_measure
 from triform.report.page import Section, read_sections, write_pages
 from triform.types import ConfigurationError, TriformError
 
@@ -173,7 +175,7 @@ def test_a_bad_folder_is_refused_before_anything_runs(tmp_path, listener):
 def test_demo_prints_measures_and_the_paths_it_wrote(tmp_path, listener):
     config = options(DemoConfig, controller="expert-sensed", robots=4, duration=6.0, output=tmp_path)
     paths = run_demo(config, listener)
-    assert [path.name for path in paths] == ["demo.png", "demo.gif", "demo.json"]
+    assert [path.name for path in paths] == ["demo.png", "demo.gif", "demo.json", "run.parquet"]
     shown = listener.console.file.getvalue()
     for path in paths:
         assert path.exists()
@@ -191,5 +193,8 @@ def test_demo_shows_any_run_of_an_evaluation(tmp_path, listener):
     run_demo(config, listener)
     shown = json.loads((tmp_path / "demo.json").read_text())["results"][0]
     assert shown["formation_error_median"] == evaluated.runs["formation_error"][2]
+    kept = run_measure(MeasureConfig((tmp_path / "run.parquet",))).runs
+    for name in set(evaluated.runs) - {"run"}:
+        np.testing.assert_array_equal(kept[name], evaluated.runs[name][2:], err_msg=name)
     with pytest.raises(ConfigurationError, match="index"):
         options(DemoConfig, index=-1)

@@ -18,8 +18,9 @@ from triform.evaluation import Trajectory, summarise
 from triform.evaluation.metrics import measure
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.figures.recorded import figure_7, figure_8
-from triform.recordings.measure import MeasureConfig, any_overlap, run_measure
-from triform.simulation import FOOTPRINTS
+from triform.recordings.description import RunSetting
+from triform.recordings.measure import MeasureConfig, contacts_of_records, run_measure
+from triform.simulation import FOOTPRINTS, Arena
 from triform.types import ConfigurationError, TriformError
 
 
@@ -114,13 +115,14 @@ def test_overlaps_are_those_of_shapely_at_the_records(seed, name):
     expected = max(areas, default=0.0)
     # Shapely's circles have corners, so they decide nothing about the last tenth of a millimetre.
     if not 0 < expected < 1e-6:
-        assert any_overlap(run, FOOTPRINTS[name]) == (expected > 0)
+        setting = RunSetting(1.0, FOOTPRINTS[name], Arena.open())
+        assert contacts_of_records(run, setting) == (expected > 0, False)
 
 
 @pytest.mark.parametrize("count", [1, 3, 5])
 def test_every_run_has_its_panels(scene, count):
     runs = [still([hexagon()]) for _ in range(count)]
-    for figure, parts in ((figure_7(runs, scene), 1), (figure_8(runs, scene), 2)):
+    for figure, parts in ((figure_7(runs, [scene] * count), 1), (figure_8(runs, [scene] * count), 2)):
         assert len(figure.axes) == parts * count
         titles = [axes.get_title(loc="left") for axes in figure.axes]
         assert [title for title in titles if title] == [f"run {index}, 7 robots" for index in range(count)]

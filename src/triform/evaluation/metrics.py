@@ -166,6 +166,19 @@ def measure(
     }
 
 
+def recovery(later: RunTable, event_time: float) -> RunTable:
+    """Return how long after an event runs are right for good [s]: ``recovery_time`` and ``strict_recovery_time``.
+
+    Args:
+        later: Measures from the event on.
+        event_time: When it came [s].
+    """
+    return {
+        "recovery_time": later["converge_time"] - event_time,
+        "strict_recovery_time": later["strict_time"] - event_time,
+    }
+
+
 def closest(trajectory: Trajectory) -> FloatArray:
     """Smallest recorded distance between two robots of each run [m], shape (B,); infinite without a pair."""
     recorded = smallest_distance(trajectory.positions, trajectory.active)

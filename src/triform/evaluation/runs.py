@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,6 +15,7 @@ from triform.types import convert_fields
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Taken = TypeVar("Taken")
 
 #: Robots of one chunk of runs: enough that the fixed cost of a step is small, few enough that the last chunks of an
 #: evaluation keep every processor busy. The same on every machine, so that no result can depend on it.
@@ -74,14 +75,24 @@ def by_group(
     task: Task[Item, Result],
     groups: Sequence[Sequence[Item]],
     engine: Engine,
+    take: Callable[[int, Result], Taken],
     on_progress: Report | None = None,
-) -> Iterator[tuple[int, list[Result]]]:
-    """Do the items of several groups, and yield the number of every group and its results when it is complete."""
+) -> Iterator[tuple[int, list[Taken]]]:
+    """Do the items of several groups, and yield the number of every group and what was taken when it is complete.
+
+    Args:
+        task: What to do.
+        groups: What to do it with.
+        engine: Where.
+        take: Called with every result, as it is finished, and its number among the items of all groups; returns what
+            is taken of it.
+        on_progress: Called with what the tasks report.
+    """
     places = [(number, place) for number, group in enumerate(groups) for place in range(len(group))]
-    found: list[dict[int, Result]] = [{} for _ in groups]
+    found: list[dict[int, Taken]] = [{} for _ in groups]
     with closing(engine.run(task, [groups[number][place] for number, place in places], on_progress)) as results:
         for index, result in results:
             number, place = places[index]
-            found[number][place] = result
+            found[number][place] = take(index, result)
             if len(found[number]) == len(groups[number]):
                 yield number, [found[number].pop(each) for each in range(len(groups[number]))]

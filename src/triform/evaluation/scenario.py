@@ -23,7 +23,7 @@ from triform.control import (
 )
 from triform.evaluation.events import Event, EventRun, run_event
 from triform.evaluation.filters import orca_settings, team_settings
-from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure
+from triform.evaluation.metrics import WINDOW, RunTable, concatenate, measure, recovery
 from triform.evaluation.overrides import LIDAR_REACH, Overrides
 from triform.evaluation.placement import blocked_starts
 from triform.evaluation.rollout import Trajectory, rollout
@@ -360,8 +360,7 @@ class Scenario:
             "robots_before": earlier["robots"],
             "formed_before": earlier["success"],
             "strict_before": earlier["strict"],
-            "recovery_time": later["converge_time"] - event.time,
-            "strict_recovery_time": later["strict_time"] - event.time,
+            **recovery(later, event.time),
             "changed_robot": found.robot,
         }
 

@@ -6,6 +6,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from triform.control import POLICY, ControllerSpec
 from triform.evaluation.metrics import summarise
 from triform.evaluation.scenario import Scenario
@@ -14,6 +16,8 @@ from triform.figures.animation import animate
 from triform.figures.runs import Scene, run_figure
 from triform.figures.style import save_figure
 from triform.limits import LARGEST_INDEX, check_threads, require_at_most, require_memory
+from triform.recordings.description import RunSetting
+from triform.recordings.kept import check_kept, keep_runs
 from triform.report.listener import SILENT, Listener
 from triform.report.output import own_folder, write_json
 from triform.report.tables import WIDE, legend, summary_rows
@@ -31,7 +35,9 @@ class DemoConfig:
         robots: Number of robots.
         seed: The start is a function of team size, seed and index alone.
         index: Which start: run ``index`` of an evaluation with the same team size and seed.
-        output: Folder for the picture, the animation and the measures.
+        output: Folder for the picture, the animation, the measures, and the poses and commands that triform measure
+            reads.
+        mcap: File for what happened in MCAP with Foxglove's schemas, for viewers.
         threads: Threads of the whole command; one for each processor if omitted.
         scenario: Everything else about the run.
     """
@@ -41,6 +47,7 @@ class DemoConfig:
     seed: int = 7
     index: int = 0
     output: Path = Path("demo")
+    mcap: Path | None = None
     threads: int | None = None
     scenario: Scenario = field(default_factory=Scenario)
 
@@ -52,17 +59,18 @@ class DemoConfig:
         require(self.index >= 0, f"index is {self.index}; it must not be negative")
         require_at_most("index", self.index, LARGEST_INDEX)
         check_threads(self.threads)
+        check_kept(None, self.mcap)
 
 
 def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
-    """Run one team, show its measures and write a picture, an animation and the measures.
+    """Run one team, show its measures and write a picture, an animation, the measures and what happened.
 
     Args:
         config: What to run and where to put the files.
         listener: Hears of progress, tables and files.
 
     Returns:
-        The files written: PNG, GIF and JSON.
+        The files written: PNG, GIF, JSON and Parquet.
 
     Raises:
         TriformError: The folder cannot be written, or a name in the configuration is unknown.
@@ -91,7 +99,7 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
         scene = Scene(outlines, scenario.surroundings, scenario.distance)
         with listener.progress("drawing", 1):
             figure = run_figure(trajectory, scene, f"{config.robots} robots, controller {label}")
-            settings = flat(config, without=("output", "threads")) | describe(scenario, controller)
+            settings = flat(config, without=("output", "mcap", "threads")) | describe(scenario, controller)
             paths = [
                 save_figure(figure, config.output / "demo.png"),
                 animate(trajectory, scene, config.output / "demo.gif"),
@@ -99,6 +107,14 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
                     config.output / "demo.json", {"config": settings, "wall_seconds": took, "results": [result]}
                 ),
             ]
+            with keep_runs(config.output / "run.parquet", config.mcap) as writer:
+                writer.add(
+                    trajectory,
+                    RunSetting.of(scenario, trajectory.poses.shape[2]),
+                    {"run": np.array([config.index]), **table},
+                )
+                writer.describe(settings)
+        paths += [path for path in (config.output / "run.parquet", config.mcap) if path is not None]
         for path in paths:
             listener.say(f"wrote {path}")
         return paths

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from triform.control import POLICY, ControllerSpec
 from triform.engines import Engine
+from triform.evaluation.metrics import RunTable
+from triform.evaluation.rollout import Trajectory
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.cell import Cell, Starts
-from triform.experiments.grid import Grid, measure_grid
+from triform.experiments.grid import Grid, Keep, measure_grid
 from triform.experiments.settings import check_teams, describe, flat, team_sizes
+from triform.recordings.description import RunSetting
+from triform.recordings.kept import Writers, check_kept, keep_runs
 from triform.report.listener import SILENT, Listener
 from triform.report.results import Evaluation, ResultFiles, show_results
 from triform.simulation import load_starts
-from triform.types import convert_fields
+from triform.types import convert_fields, require
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,8 @@ class EvaluateConfig:
             numbers.
         json: File for the summary.
         parquet: File for one row per run; by default beside the summary.
+        keep: File for what happened in every run, in Parquet: poses and commands, as triform measure reads them.
+        mcap: File for what happened in the only run, in MCAP with Foxglove's schemas, for viewers.
         scenario: Everything else about the runs.
         execution: Where the runs are computed.
     """
@@ -47,6 +54,8 @@ class EvaluateConfig:
     starts: Path | None = None
     json: Path | None = None
     parquet: Path | None = None
+    keep: Path | None = None
+    mcap: Path | None = None
     scenario: Scenario = field(default_factory=Scenario)
     execution: Execution = field(default_factory=Execution)
 
@@ -54,6 +63,12 @@ class EvaluateConfig:
         convert_fields(self)
         object.__setattr__(self, "robots", team_sizes(self.scenario, self.robots, EvaluateConfig.robots))
         check_teams(self.robots, self.runs, self.seed)
+        check_kept(self.keep, self.mcap)
+        require(
+            self.mcap is None or (self.runs == 1 and len(self.robots) == 1),
+            f"mcap is given with {self.runs} runs of {len(self.robots)} team sizes; it holds one run, because viewers "
+            "play one, and triform demo --index shows any of them",
+        )
 
     @property
     def cells(self) -> list[Cell]:
@@ -85,6 +100,7 @@ def evaluate(
     listener: Listener = SILENT,
     on_size: Callable[[Evaluation], None] | None = None,
     engine: Engine | None = None,
+    keep: Keep | None = None,
 ) -> Evaluation:
     """Run and measure every start of every team size.
 
@@ -93,6 +109,7 @@ def evaluate(
         listener: Hears of progress.
         on_size: Called with what was found so far whenever a team size is done.
         engine: Where to run; what ``config`` names if omitted.
+        keep: Called with what happened, in the order of cells and runs.
 
     Returns:
         Measures of every run; the same to the bit with any engine and any number of threads.
@@ -103,23 +120,24 @@ def evaluate(
     """
     cells = config.cells
     grid = Grid(cells)
-    options = flat(config, without=("json", "parquet"))
+    options = flat(config, without=("json", "parquet", "keep", "mcap"))
     evaluation = Evaluation(options | describe(config.scenario, grid.controller(grid.cells[0])))
 
-    def keep(seconds: float) -> None:
+    def on_cell(seconds: float) -> None:
         evaluation.tables = [grid.table(cell) for cell in grid.done]
         evaluation.wall_seconds = seconds
         if on_size is not None:
             on_size(evaluation)
 
-    measure_grid(grid, config.execution, keep, listener, engine, "evaluating")
+    measure_grid(grid, config.execution, on_cell, listener, engine, "evaluating", keep)
     return evaluation
 
 
 def run_evaluate(config: EvaluateConfig, listener: Listener = SILENT) -> Evaluation:
     """Evaluate, keep the results in files and show the table.
 
-    Files are rewritten whenever a team size is done, so an interrupted evaluation keeps the finished sizes.
+    Summary and table are rewritten whenever a team size is done, so an interrupted evaluation keeps the finished sizes;
+    trajectories are kept when all are.
 
     Args:
         config: What to run and which files to write.
@@ -132,8 +150,15 @@ def run_evaluate(config: EvaluateConfig, listener: Listener = SILENT) -> Evaluat
         TriformError: A file cannot be written, which is found out before the first run, or as ``evaluate``.
     """
     files = ResultFiles(config.json, config.parquet)
-    evaluation = evaluate(config, listener, files.write)
+    kept = [path for path in (config.keep, config.mcap) if path is not None]
+    with keep_runs(*kept) as writer:
+        evaluation = evaluate(config, listener, files.write, keep=partial(_keep, writer) if kept else None)
+        writer.describe(evaluation.config)
     show_results(evaluation, config.controller.label, listener)
-    for path in files.paths:
+    for path in [*files.paths, *kept]:
         listener.say(f"wrote {path}")
     return evaluation
+
+
+def _keep(writer: Writers, cell: Cell, trajectory: Trajectory, measures: RunTable) -> None:
+    writer.add(trajectory, RunSetting.of(cell.scenario, trajectory.poses.shape[2]), measures)

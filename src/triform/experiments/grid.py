@@ -14,6 +14,7 @@ import numpy as np
 from triform.control import ControllerSpec
 from triform.engines import Engine, Report
 from triform.evaluation.metrics import RunTable, concatenate, summarise
+from triform.evaluation.rollout import Trajectory
 from triform.evaluation.runs import Execution, by_group, chunks
 from triform.experiments.cell import Cell
 from triform.experiments.settings import digest, flat, warn_of_time
@@ -24,6 +25,9 @@ from triform.report.tables import format_measure, read_parquet, require_parquet,
 from triform.simulation import sample_starts
 from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, TriformError
+
+#: Keeps what happened in some runs of a cell, and their measures.
+Keep = Callable[[Cell, Trajectory, RunTable], None]
 
 #: Columns of the table of runs behind the labels: team size at the start, and digest of all settings.
 _KEYS = ("team", "settings")
@@ -40,20 +44,41 @@ class _Chunk:
 
 @dataclass(frozen=True)
 class _MeasureChunks:
-    """The task of a grid: drive the runs of a chunk and measure them; the trajectories are dropped.
+    """The task of a grid: drive the runs of a chunk and measure them.
 
     Attributes:
         cells: The cells by number.
         controllers: Controller of every cell, by number.
+        kept: Whether trajectories are wanted; they are dropped otherwise.
     """
 
     cells: Mapping[int, Cell]
     controllers: Mapping[int, Controller[Any]]
+    kept: bool = False
 
-    def __call__(self, chunk: _Chunk, report: Report) -> RunTable:
-        """One row per run; reports robots times control periods."""
+    def __call__(self, chunk: _Chunk, report: Report) -> tuple[RunTable, Trajectory | None]:
+        """One row per run, and what happened; reports robots times control periods."""
         cell = self.cells[chunk.cell]
-        return cell.run(chunk.first, chunk.count, self.controllers[chunk.cell], report)[1]
+        trajectory, table = cell.run(chunk.first, chunk.count, self.controllers[chunk.cell], report)
+        return table, trajectory if self.kept else None
+
+
+class _InOrder:
+    """Keeps chunks that are finished in any order in the order in which they were begun, whatever the engine."""
+
+    def __init__(self, chunks: Sequence[_Chunk], cells: Mapping[int, Cell], keep: Keep) -> None:
+        """Take all chunks, in their order."""
+        self._chunks, self._cells, self._keep = chunks, cells, keep
+        self._waiting: dict[int, tuple[RunTable, Trajectory]] = {}
+        self._next = 0
+
+    def add(self, index: int, table: RunTable, trajectory: Trajectory) -> None:
+        """Keep a chunk, or hold it until those before it are kept."""
+        self._waiting[index] = table, trajectory
+        while self._next in self._waiting:
+            table, trajectory = self._waiting.pop(self._next)
+            self._keep(self._cells[self._chunks[self._next].cell], trajectory, table)
+            self._next += 1
 
 
 class Grid:
@@ -124,20 +149,30 @@ class Grid:
         """Return one row per run of a cell that is done."""
         return self._tables[self._digests[cell]]
 
-    def measure(self, engine: Engine, on_step: Report | None = None) -> Iterator[Cell]:
+    def measure(self, engine: Engine, on_step: Report | None = None, keep: Keep | None = None) -> Iterator[Cell]:
         """Run all cells that wait, and yield each when it is done and in the file.
 
         Args:
             engine: Where to run.
             on_step: Called with the number of robots times control periods that were just done.
+            keep: Called with what happened, in the order of cells and runs.
         """
         waiting = dict(enumerate(self.waiting))
-        task = _MeasureChunks(waiting, {number: self.controller(cell) for number, cell in waiting.items()})
+        controllers = {number: self.controller(cell) for number, cell in waiting.items()}
+        task = _MeasureChunks(waiting, controllers, keep is not None)
         parts = [
             [_Chunk(number, part.start, part.stop - part.start) for part in chunks(cell.runs, cell.robots)]
             for number, cell in waiting.items()
         ]
-        for number, tables in by_group(task, parts, engine, on_step):
+        ordered = None if keep is None else _InOrder([chunk for part in parts for chunk in part], waiting, keep)
+
+        def take(index: int, result: tuple[RunTable, Trajectory | None]) -> RunTable:
+            table, trajectory = result
+            if ordered is not None and trajectory is not None:
+                ordered.add(index, table, trajectory)
+            return table
+
+        for number, tables in by_group(task, parts, engine, take, on_step):
             self._tables[self._digests[waiting[number]]] = concatenate(tables)
             self._write()
             yield waiting[number]
@@ -197,6 +232,7 @@ def measure_grid(
     listener: Listener = SILENT,
     engine: Engine | None = None,
     title: str = "measuring",
+    keep: Keep | None = None,
 ) -> None:
     """Run all cells of a grid that wait, with progress.
 
@@ -207,6 +243,7 @@ def measure_grid(
         listener: Hears of progress, of what is left out and of every cell that is done.
         engine: The engine, if it is open already.
         title: What a progress bar says.
+        keep: Called with what happened, in the order of cells and runs.
 
     Raises:
         ConfigurationError: The threads together need more memory than there is.
@@ -222,7 +259,7 @@ def measure_grid(
         execution.open_engine() if engine is None else nullcontext(engine) as where,
         listener.progress(title, sum(cell.work for cell in grid.waiting)) as advance,
     ):
-        for cell in grid.measure(where, advance):
+        for cell in grid.measure(where, advance, keep):
             seconds = time.perf_counter() - began
             on_cell(seconds)
             listener.milestone(f"done after {seconds:.1f} s: {cell.name}")

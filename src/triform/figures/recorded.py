@@ -17,42 +17,41 @@ from triform.evaluation.rollout import Trajectory
 from triform.figures.paper import figure_9
 from triform.figures.runs import Scene, draw_distances, draw_error, draw_trajectories, present
 from triform.figures.style import bounds, figure_style, footprint_outlines, heading_marks, robot_colours, save_figure
-from triform.simulation import Arena, Footprint
 
 #: Fig. 7 and 8 show the first 8 runs, 4 side by side.
 SHOWN, _COLUMNS = 8, 4
 
 
 def draw_recorded(
-    trajectories: Sequence[Trajectory], runs: RunTable, footprint: Footprint, distance: float, folder: Path
+    trajectories: Sequence[Trajectory], scenes: Sequence[Scene], runs: RunTable, folder: Path
 ) -> list[Path]:
     """Draw all figures of recorded runs.
 
     Args:
         trajectories: The runs, each with B = 1.
+        scenes: Footprint, arena and prescribed distance of each.
         runs: Their measures, one row per run.
-        footprint: Outline of the robots.
-        distance: Prescribed neighbour distance d* [m].
         folder: Where to put them.
 
     Returns:
         The files written.
     """
-    scene = Scene(footprint, Arena.open(), distance)
-    shown = trajectories[:SHOWN]
+    shown = trajectories[:SHOWN], scenes[:SHOWN]
     return [
-        save_figure(figure_7(shown, scene), folder / "fig7.png"),
-        save_figure(figure_8(shown, scene), folder / "fig8.png"),
+        save_figure(figure_7(*shown), folder / "fig7.png"),
+        save_figure(figure_8(*shown), folder / "fig8.png"),
         save_figure(figure_9(runs, "recorded"), folder / "fig9.png"),
     ]
 
 
-def figure_7(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
+def figure_7(trajectories: Sequence[Trajectory], scenes: Sequence[Scene]) -> Figure:
     """Draw the paths of single runs from the first poses (outlines) to the last ones (filled), and the final graph."""
     with figure_style():
         figure, panels = _panels(len(trajectories), 3.0)
-        half_side = max(bounds(trajectory.positions, scene.arena)[1] for trajectory in trajectories)
-        for index, (axes, trajectory) in enumerate(zip(panels[0], trajectories, strict=True)):
+        half_side = max(
+            bounds(trajectory.positions, scene.arena)[1] for trajectory, scene in zip(trajectories, scenes, strict=True)
+        )
+        for index, (axes, trajectory, scene) in enumerate(zip(panels[0], trajectories, scenes, strict=True)):
             draw_trajectories(axes, trajectory, scene, half_side)
             _draw_first_poses(axes, trajectory, scene)
             axes.set_title(_title(index, trajectory), loc="left")
@@ -60,11 +59,11 @@ def figure_7(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
     return figure
 
 
-def figure_8(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
+def figure_8(trajectories: Sequence[Trajectory], scenes: Sequence[Scene]) -> Figure:
     """Draw the distances of the final neighbours of single runs over time, and below them the formation error."""
     with figure_style():
         figure, (uppers, lowers) = _panels(len(trajectories), 2.2, parts=2)
-        for index, trajectory in enumerate(trajectories):
+        for index, (trajectory, scene) in enumerate(zip(trajectories, scenes, strict=True)):
             upper, lower = uppers[index], lowers[index]
             draw_distances(upper, trajectory, scene)
             upper.set_title(_title(index, trajectory), loc="left")

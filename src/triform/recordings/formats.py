@@ -93,6 +93,37 @@ def wide_run(label: str, time: FloatArray, robots: Sequence[str], poses: FloatAr
     return RawRun(label, tracks)
 
 
+def frame_run(label: str, seen: Mapping[tuple[str, str], Sequence[tuple[float, FloatArray]]]) -> RawRun:
+    """Return the run of robots whose frames were recorded: the children of the frame that has no parent.
+
+    Args:
+        label: Which run of which file it is.
+        seen: Times [s] and poses (x, y, heading) of every frame in its parent, by parent and child.
+
+    Raises:
+        TriformError: There is no frame, or several have no parent, so that nothing says where robots are to each other.
+    """
+    children = {child for _, child in seen}
+    roots = sorted({parent for parent, _ in seen} - children)
+    if len(roots) != 1:
+        reason = f"the frames {' and '.join(map(repr, roots[:2]))} have no parent" if roots else "no frame is a root"
+        raise TriformError(f"{label}: {reason}; poses of all robots in one frame are needed")
+    return RawRun(
+        label,
+        {
+            child: make_track(f"{label}: robot {child}", *(np.array(each) for each in zip(*rows, strict=True)))
+            for (parent, child), rows in seen.items()
+            if parent == roots[0]
+        },
+    )
+
+
+def planar_pose(translation: Any, rotation: Any) -> FloatArray:
+    """Return the pose (x, y, heading) of a vector and a quaternion, messages with fields x, y, z and w."""
+    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
+    return np.array([translation.x, translation.y, np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+
+
 def read_array(path: Path, rate: float | None) -> list[RawRun]:
     """Read an array of poses, shape (T, N, 3), or (B, T, N, 3) of many runs, from ``.npy``; it is never unpickled.
 

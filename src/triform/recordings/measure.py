@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from triform.evaluation.metrics import RunTable, concatenate, measure
+from triform.evaluation.metrics import RunTable, concatenate, measure, recovery
 from triform.evaluation.rollout import Trajectory
 from triform.limits import check_threads
+from triform.recordings.description import RunSetting
 from triform.recordings.resample import Recording, read_recordings
 from triform.report.listener import SILENT, Listener
 from triform.report.output import prepare_folder
 from triform.report.results import Evaluation, ResultFiles, show_results
-from triform.simulation import Arena, Footprint
-from triform.simulation.ray_kernels import Scene
+from triform.simulation import FOOTPRINTS, Arena, Footprint
+from triform.simulation.lidar import make_scene
 from triform.simulation.world_kernels import Contacts, record_contacts
 from triform.threads import limit_threads
 from triform.types import TriformError, convert_fields, require
 from triform.version import __version__
 
+#: Prescribed neighbour distance where neither options nor files say it [m].
+DISTANCE = 1.0
 #: Robots are not farther from their neighbours, or closer to them, than the prescribed distance by this factor.
 _SCALE = 30.0
 
@@ -33,10 +36,11 @@ class MeasureConfig:
     """A measurement of recorded runs.
 
     Attributes:
-        files: Recorded runs: .csv or .parquet with columns time, robot, x, y, heading, .npy, or a Motive export in
-            .csv.
-        distance: Prescribed neighbour distance d* [m].
-        footprint: Outline of the robots: a name such as ep, circle:0.30 (diameter) or box:0.41x0.24 [m].
+        files: Recorded runs: kept ones, .csv or .parquet with columns time, robot, x, y, heading, .npy, a Motive export
+            in .csv, .mcap, or folders of ROS 2 bags.
+        distance: Prescribed neighbour distance d* [m]; that of the file if omitted, or 1 m where it has none.
+        footprint: Outline of the robots: a name such as ep, circle:0.30 (diameter) or box:0.41x0.24 [m]; that of the
+            file if omitted, or ep where it has none.
         rate: Records per second of recordings in .npy [Hz].
         start: Leave out what comes earlier after the first record of a run [s].
         end: Leave out what comes later after the first record of a run [s].
@@ -47,8 +51,8 @@ class MeasureConfig:
     """
 
     files: tuple[Path, ...]
-    distance: float = 1.0
-    footprint: str = "ep"
+    distance: float | None = None
+    footprint: str | None = None
     rate: float | None = None
     start: float = 0.0
     end: float | None = None
@@ -60,7 +64,10 @@ class MeasureConfig:
     def __post_init__(self) -> None:
         convert_fields(self)
         require(len(self.files) > 0, "no file is named; name the recorded runs to measure")
-        require(0 < self.distance < np.inf, f"distance is {self.distance} m; it must be positive and finite")
+        require(
+            self.distance is None or 0 < self.distance < np.inf,
+            f"distance is {self.distance} m; it must be positive and finite",
+        )
         arrays = any(path.suffix == ".npy" for path in self.files)
         require(
             (self.rate is not None) == arrays,
@@ -75,9 +82,15 @@ class MeasureConfig:
         _ = self.outline
 
     @property
-    def outline(self) -> Footprint:
-        """Footprint of the recorded robots."""
-        return Footprint.parse(self.footprint)
+    def outline(self) -> Footprint | None:
+        """Footprint of the recorded robots; ``None`` if their files say it."""
+        return None if self.footprint is None else Footprint.parse(self.footprint)
+
+    def setting(self, recording: Recording) -> RunSetting:
+        """Return the setting of a run: what is given, else what its file has."""
+        known = recording.setting or RunSetting(DISTANCE, FOOTPRINTS["ep"], Arena.open())
+        distance = known.distance if self.distance is None else self.distance
+        return replace(known, distance=distance, footprint=self.outline or known.footprint)
 
 
 def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluation:
@@ -98,34 +111,71 @@ def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluatio
     if config.figures is not None:
         prepare_folder(config.figures)
     began = time.perf_counter()
-    recordings: list[Recording] = []
+    found: list[dict[str, Any]] = []
+    drawn: list[tuple[Trajectory, RunSetting]] = []
+    changes: list[str] = []
     tables: list[RunTable] = []
     with limit_threads(config.threads), listener.progress("measuring", len(config.files)) as advance:
         for path in config.files:
             for recording in read_recordings(path, config.rate, config.start, config.end):
-                which = {"run": np.array([len(recordings)]), "recording": np.array([recording.label])}
-                _refuse_scale(recording, config.distance)
-                overlap = np.array([any_overlap(recording.trajectory, config.outline)])
-                tables.append(which | measure(recording.trajectory, config.distance, collision=overlap))
-                recordings.append(recording)
+                setting = config.setting(recording)
+                which = {"run": np.array([len(tables)]), "recording": np.array([recording.label])}
+                tables.append(which | measure_recording(recording, setting))
+                found.append(_describe(recording, setting))
+                changes.extend(recording.changes)
+                if config.figures is not None:
+                    drawn.append((recording.trajectory, setting))
             advance()
-    sizes = sorted({int(table["robots"][0]) for table in tables})
-    grouped = [concatenate([table for table in tables if table["robots"][0] == size]) for size in sizes]
-    evaluation = Evaluation(describe_recordings(config, recordings), grouped, time.perf_counter() - began)
-    for sentence in [each for recording in recordings for each in recording.changes]:
+    evaluation = Evaluation(_settings(config, found), _by_size(tables), time.perf_counter() - began)
+    for sentence in changes:
         listener.say(sentence)
     show_results(evaluation, "recorded", listener)
     files.write(evaluation)
     written = files.paths
     if config.figures is not None:
         from triform.figures.recorded import draw_recorded
+        from triform.figures.runs import Scene
 
         with listener.progress("drawing", 1):
-            trajectories = [recording.trajectory for recording in recordings]
-            written += draw_recorded(trajectories, evaluation.runs, config.outline, config.distance, config.figures)
+            trajectories = [trajectory for trajectory, _ in drawn]
+            scenes = [Scene(each.footprint, each.arena, each.distance) for _, each in drawn]
+            written += draw_recorded(trajectories, scenes, evaluation.runs, config.figures)
     for path in written:
         listener.say(f"wrote {path}")
     return evaluation
+
+
+def measure_recording(recording: Recording, setting: RunSetting) -> RunTable:
+    """Measure a recorded run.
+
+    Of one that a simulation kept the measures are those of the run, to the bit, as long as distance and footprint are
+    its own; of the others, contacts and the smallest distance are those of the records.
+
+    Args:
+        recording: The run.
+        setting: With which d* and footprint to measure it.
+
+    Returns:
+        One row.
+
+    Raises:
+        TriformError: It is too short, or its positions cannot be in metres.
+    """
+    run, whole, known = recording.trajectory, recording.whole, recording.setting
+    if known is None or known.distance != setting.distance:
+        _refuse_scale(recording, setting.distance)
+    if known is None or not whole or known.footprint != setting.footprint:
+        collided, hit_arena = contacts_of_records(run, setting)
+        whole = whole | {"collision": np.array([collided]), "hit_arena": np.array([hit_arena])}
+    event = setting.event if "robots_before" in whole else None
+    table = measure(
+        run if event is None else run.since(event.time),
+        setting.distance,
+        min_distance=whole.get("min_distance"),
+        collision=whole["collision"],
+        hit_arena=whole["hit_arena"],
+    )
+    return table | whole | ({} if event is None else recovery(table, event.time))
 
 
 def _refuse_scale(recording: Recording, distance: float) -> None:
@@ -140,34 +190,60 @@ def _refuse_scale(recording: Recording, distance: float) -> None:
         )
 
 
-def any_overlap(trajectory: Trajectory, footprint: Footprint) -> bool:
-    """Tell whether two footprints overlap at any record of a single run; touching is no overlap."""
+def contacts_of_records(trajectory: Trajectory, setting: RunSetting) -> tuple[bool, bool]:
+    """Tell whether footprints overlap each other, and the arena, at any record of a run; touching is no overlap."""
     poses, active = np.ascontiguousarray(trajectory.poses[0]), np.ascontiguousarray(trajectory.active[0])
-    records, arena = len(poses), Arena.open()
+    records, robots = active.shape
     contacts = Contacts(np.full(records, np.inf), *np.zeros((2, records), dtype=np.bool_))
     # Every record is a world of its own to the kernel.
-    record_contacts(poses, active, Scene(footprint.body, arena.walls, arena.pillars), contacts, 0, records)
-    return bool(contacts.collided.any())
+    record_contacts(poses, active, make_scene(setting.footprint, setting.arena, robots), contacts, 0, records)
+    return bool(contacts.collided.any()), bool(contacts.hit_arena.any())
 
 
-def describe_recordings(config: MeasureConfig, recordings: Sequence[Recording]) -> dict[str, Any]:
-    """Return what was measured as plain JSON values."""
+def _by_size(tables: Sequence[RunTable]) -> list[RunTable]:
+    """Return the runs of every team size in one table: the size at the end, or before an event that interrupts.
+
+    Raises:
+        TriformError: An event interrupts some of the runs, which have other measures than the rest.
+    """
+    if any(set(table) != set(tables[0]) for table in tables):
+        raise TriformError(
+            "an event interrupts some of the runs and not the others, and their measures differ; measure them apart"
+        )
+    sizes = [int(table.get("robots_before", table["robots"])[0]) for table in tables]
+    return [
+        concatenate([table for table, own in zip(tables, sizes, strict=True) if own == size])
+        for size in sorted(set(sizes))
+    ]
+
+
+def _describe(recording: Recording, setting: RunSetting) -> dict[str, Any]:
+    """Return a recorded run as plain JSON values."""
+    outline = setting.footprint
+    return {
+        "recording": recording.label,
+        "robots": recording.robots,
+        "duration": float(recording.trajectory.time[-1]),
+        "period": recording.trajectory.period,
+        "distance": setting.distance,
+        "footprint": asdict(outline) if isinstance(outline, Footprint) else [asdict(each) for each in outline],
+        "changes": recording.changes,
+    }
+
+
+def _settings(config: MeasureConfig, recordings: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return what was measured as plain JSON values; distance and footprint if they are those of all runs."""
+    first = recordings[0]
+    shared = {
+        name: first[name] if all(each[name] == first[name] for each in recordings) else None
+        for name in ("distance", "footprint")
+    }
     return {
         "controller": "recorded",
-        "distance": config.distance,
         "rate": config.rate,
         "start": config.start,
         "end": config.end,
-        "footprint": asdict(config.outline),
-        "recordings": [
-            {
-                "recording": each.label,
-                "robots": each.robots,
-                "duration": float(each.trajectory.time[-1]),
-                "period": each.trajectory.period,
-                "changes": each.changes,
-            }
-            for each in recordings
-        ],
+        **shared,
+        "recordings": list(recordings),
         "triform": __version__,
     }

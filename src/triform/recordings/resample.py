@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from triform.evaluation.metrics import WINDOW
+from triform.evaluation.metrics import WINDOW, RunTable
 from triform.evaluation.rollout import Trajectory
 from triform.files import refuse_device
 from triform.geometry import wrap_angle
-from triform.recordings.formats import RawRun, Track, natural, read_array, read_csv, read_parquet
+from triform.recordings.description import RunSetting
+from triform.recordings.formats import RawRun, Track, natural, read_array, read_csv, read_parquet, wide_run
+from triform.recordings.kept import KeptRuns, open_runs
 from triform.recordings.motive import SIGNATURE, read_motive
 from triform.types import FloatArray, TriformError
 
@@ -33,23 +35,28 @@ class Recording:
     Attributes:
         label: Which run of which file it is.
         robots: Names of the robots, in the order of the trajectory.
-        trajectory: The run, B = 1, evenly spaced from 0 s; its commands are not known and ``NaN``.
+        trajectory: The run, B = 1, evenly spaced; its commands are ``NaN`` where they are not known.
         changes: Sentences that say which robots come and go.
+        setting: Its setting, where the file has it.
+        whole: Measures of the whole run, one row, which the records alone cannot give.
     """
 
     label: str
     robots: tuple[str, ...]
     trajectory: Trajectory
     changes: tuple[str, ...]
+    setting: RunSetting | None = None
+    whole: RunTable = field(default_factory=dict)
 
 
 def read_recordings(
     path: Path, rate: float | None = None, start: float = 0.0, end: float | None = None
 ) -> list[Recording]:
-    """Read all runs of a file.
+    """Read all runs of a file; those that a simulation kept, and that are not cut, just as they were.
 
     Args:
-        path: Poses in ``.csv``, ``.parquet`` or ``.npy``, or a Motive export in ``.csv``.
+        path: Poses in ``.csv``, ``.parquet``, ``.npy`` or ``.mcap``, a Motive export in ``.csv``, or the folder of a
+            ROS 2 bag.
         rate: Records per second of an ``.npy`` file [Hz].
         start: What comes earlier after the first record of a run is left out [s].
         end: What comes later is left out [s]; nothing by default.
@@ -62,6 +69,9 @@ def read_recordings(
     """
     try:
         refuse_device(path)
+        kept = _open_kept(path)
+        if kept is not None:
+            return _read_kept(kept, start, end)
         raw = _read(path, rate)
     except (OSError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or str(error)
@@ -72,13 +82,49 @@ def read_recordings(
     return recordings
 
 
+def _open_kept(path: Path) -> KeptRuns | None:
+    """Open a file of kept runs; ``None`` if it is another one."""
+    if path.is_dir():
+        return None
+    if path.suffix == ".mcap":
+        from triform.recordings.mcap import open_mcap_runs
+
+        return open_mcap_runs(path)
+    return open_runs(path) if path.suffix == ".parquet" else None
+
+
+def _read_kept(kept: KeptRuns, start: float, end: float | None) -> list[Recording]:
+    """Read kept runs: exactly, or evened out if they are cut or a robot's odometry."""
+    found = []
+    exact = kept.description.source == "simulation" and start == 0 and end is None
+    for number, entry in enumerate(kept.description.runs):
+        label, setting, trajectory = kept.label(number), kept.setting(number), kept.trajectory(number)
+        names = [str(robot) for robot in range(entry.robots)]
+        if exact:
+            found.append(Recording(label, tuple(names), trajectory, (), setting, entry.measures))
+            continue
+        cut = even_out(wide_run(label, trajectory.time, names, trajectory.poses[0]), start, end)
+        found.append(replace(cut, setting=setting.of_robots([int(name) for name in cut.robots])))
+    return found
+
+
 def _read(path: Path, rate: float | None) -> list[RawRun]:
+    if path.is_dir():
+        from triform.recordings.bags import read_bag
+
+        return read_bag(path)
     if path.suffix == ".npy":
         return read_array(path, rate)
     if path.suffix == ".parquet":
         return read_parquet(path)
+    if path.suffix == ".mcap":
+        from triform.recordings.mcap import read_mcap
+
+        return read_mcap(path)
     if path.suffix != ".csv":
-        raise TriformError(f"{path} ends in {path.suffix!r}; recordings are read from .csv, .parquet or .npy")
+        raise TriformError(
+            f"{path} ends in {path.suffix!r}; recordings are read from .csv, .parquet, .npy, .mcap or ROS 2 bags"
+        )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         is_motive = file.read(len(SIGNATURE)) == SIGNATURE
     return read_motive(path) if is_motive else read_csv(path)

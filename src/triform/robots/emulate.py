@@ -189,13 +189,23 @@ class Emulation:
         """True poses, shape (N, 3) [m, m, rad]."""
         return np.asarray(self._world.poses[0])
 
+    @property
+    def commands(self) -> FloatArray:
+        """Body twists that the bases hold, shape (N, 3) [m/s, m/s, rad/s]."""
+        return np.array([base.command for base in self.bases])
+
+    @property
+    def world(self) -> World:
+        """The world in which the robots drive."""
+        return self._world
+
     def close(self) -> None:
         """Close all ports."""
         self._stack.close()
 
     def step(self) -> None:
         """Go on by ``STEP``: wheels, telemetry and LiDARs."""
-        self._world.apply(np.array([base.command for base in self.bases])[None], STEP)
+        self._world.apply(self.commands[None], STEP)
         self._past.append(self._world.poses)
         # As the real ones, they count from where they were switched on.
         come = relative_poses(self.poses, self._start, self._world.active[0])
@@ -237,13 +247,19 @@ def drive_command(config: EmulateConfig, emulation: Emulation, robot: int) -> st
     )
 
 
-def run_emulate(config: EmulateConfig, say: Callable[[str], object], warn: Callable[[str], None]) -> None:
+def run_emulate(
+    config: EmulateConfig,
+    say: Callable[[str], object],
+    warn: Callable[[str], None],
+    on_record: Callable[[Emulation], None] | None = None,
+) -> None:
     """Emulate robots in real time.
 
     Args:
         config: Which robots, and for how long.
         say: Called with how to drive them and, at the end, how well the clock was kept.
         warn: Called with a sentence if the recording cannot go on.
+        on_record: Called ten times a second of the world.
 
     Raises:
         TriformError: There is no such arena, a port cannot be opened, or the recording cannot be begun.
@@ -264,9 +280,12 @@ def run_emulate(config: EmulateConfig, say: Callable[[str], object], warn: Calla
             with StopSignals() as signals:
                 while emulation.time < duration - STEP / 2:
                     signals.check()
-                    if log is not None and steps % _STEPS_PER_RECORD == 0:
-                        for robot, pose in enumerate(emulation.poses):
-                            log.write([emulation.time, robot, *pose])
+                    if steps % _STEPS_PER_RECORD == 0:
+                        if log is not None:
+                            for robot, pose in enumerate(emulation.poses):
+                                log.write([emulation.time, robot, *pose])
+                        if on_record is not None:
+                            on_record(emulation)
                     emulation.step()
                     steps += 1
                     ahead = began + emulation.time - time.monotonic()

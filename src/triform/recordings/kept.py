@@ -1,0 +1,303 @@
+"""Kept runs: trajectories in Parquet, from which every measure is that of the run to the bit.
+
+A file is a long table with one row per run, record and robot, sorted by these, each run in a row group of its own, and
+a ``Description`` as JSON in its metadata.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO, Any, Protocol
+
+import numpy as np
+
+from triform.evaluation.metrics import RunTable
+from triform.evaluation.rollout import Trajectory
+from triform.files import cannot_write, open_atomically
+from triform.recordings.description import Description, Descriptions, RunSetting, Source, decode_description
+from triform.report.output import prepare_file
+from triform.report.tables import require_parquet
+from triform.types import ConfigurationError, TriformError, is_plausible, require
+
+#: Key of the description in the metadata of a file.
+KEY = b"triform"
+#: Columns of poses [m, m, rad] and of the body twists held from a record to the next [m/s, m/s, rad/s].
+_POSE, _TWIST = ("x", "y", "heading"), ("v_x", "v_y", "omega")
+#: All columns of the table.
+COLUMNS = ("run", "time", "robot", *_POSE, *_TWIST)
+#: Times are Unix times at most, in units of the largest number of metres.
+_LATEST = 1e6
+
+
+class RunSink(Protocol):
+    """Writes runs into one file."""
+
+    def add(self, trajectory: Trajectory, setting: RunSetting, measures: RunTable) -> None:
+        """Write runs, as ``RunWriter.add``."""
+        ...
+
+    def describe(self, settings: dict[str, Any]) -> None:
+        """Say with which settings and controller the runs were made."""
+        ...
+
+    def close(self) -> None:
+        """Write what is left, and the description."""
+        ...
+
+    def give_up(self) -> None:
+        """Write nothing more."""
+        ...
+
+
+class RunWriter:
+    """Writes runs one by one, so that no more than one batch of them is in memory."""
+
+    def __init__(self, path: Path, file: IO[bytes], source: Source) -> None:
+        """Begin a table.
+
+        Args:
+            path: Name of the file, for messages.
+            file: Where to.
+            source: Where poses come from.
+        """
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        kinds = {name: pa.int32() if name in ("run", "robot") else pa.float64() for name in COLUMNS}
+        self._schema = pa.schema(list(kinds.items()))
+        self._path = path
+        self._writer = parquet.ParquetWriter(
+            file,
+            self._schema,
+            compression="zstd",
+            use_dictionary=["run", "time", "robot"],
+            use_byte_stream_split=[*_POSE, *_TWIST],
+        )
+        self._descriptions = Descriptions(source)
+
+    def add(self, trajectory: Trajectory, setting: RunSetting, measures: RunTable) -> None:
+        """Write runs.
+
+        Args:
+            trajectory: B runs.
+            setting: Their setting.
+            measures: Their measures, one row per run; ``run`` is the index of the start, and of the others those are
+                kept that poses alone cannot give. Empty if poses can give all.
+
+        Raises:
+            TriformError: The disk is full or fails.
+        """
+        robots = trajectory.poses.shape[2]
+        for run in range(len(trajectory.poses)):
+            row = {name: column[run] for name, column in measures.items()}
+            start = int(row["run"]) if "run" in row else None
+            entry = self._descriptions.add(setting, robots, start, row)
+            try:
+                self._writer.write_table(self._table(entry.run, trajectory.run(run)))
+            except OSError as error:
+                raise cannot_write(self._path, error) from error
+
+    def describe(self, settings: dict[str, Any]) -> None:
+        """Say with which settings and controller the runs were made; plain JSON values, for people."""
+        self._descriptions.settings = settings
+
+    def close(self) -> None:
+        """Write the description and the end of the file.
+
+        Raises:
+            TriformError: The disk is full or fails.
+        """
+        try:
+            self._writer.add_key_value_metadata({KEY: self._descriptions.description.encode()})
+            self._writer.close()
+        except OSError as error:
+            raise cannot_write(self._path, error) from error
+
+    def give_up(self) -> None:
+        """Write nothing more, also when the writer is deleted later."""
+        self._writer.is_open = False
+
+    def _table(self, number: int, run: Trajectory) -> Any:
+        import pyarrow as pa
+
+        records, robots = run.active.shape[1:]
+        there = run.active[0]
+        held = np.concatenate([run.commands[0], np.full((1, robots, 3), np.nan)])
+        columns = [
+            np.full(records * robots, number, np.int32),
+            np.repeat(run.time, robots),
+            np.tile(np.arange(robots, dtype=np.int32), records),
+            *(np.where(there, run.poses[0, ..., k], np.nan).ravel() for k in range(3)),
+            *(held[..., k].ravel() for k in range(3)),
+        ]
+        return pa.table([pa.array(column, from_pandas=True) for column in columns], schema=self._schema)
+
+
+class Writers:
+    """Writes every run into each of some files."""
+
+    def __init__(self, writers: Sequence[RunSink]) -> None:
+        """Take the writers of the files."""
+        self._writers = writers
+
+    def add(self, trajectory: Trajectory, setting: RunSetting, measures: RunTable) -> None:
+        """Write runs, as ``RunWriter.add``."""
+        for each in self._writers:
+            each.add(trajectory, setting, measures)
+
+    def describe(self, settings: dict[str, Any]) -> None:
+        """Say with which settings and controller the runs were made."""
+        for each in self._writers:
+            each.describe(settings)
+
+
+def check_kept(keep: Path | None, mcap: Path | None) -> None:
+    """Refuse names of files by whose endings no reader would know them.
+
+    Raises:
+        ConfigurationError: One has another ending than .parquet, the other than .mcap.
+    """
+    for name, path, ending in (("keep", keep, ".parquet"), ("mcap", mcap, ".mcap")):
+        require(path is None or path.suffix == ending, f"{name} is {path}; the name of its file ends in {ending}")
+
+
+@contextmanager
+def keep_runs(*paths: Path | None, source: Source = "simulation") -> Iterator[Writers]:
+    """Give a writer of runs; the files are there once the block ends, and not at all if it fails.
+
+    Args:
+        paths: Where to: Parquet, or MCAP where the name ends in ``.mcap``; what is ``None`` is left out.
+        source: Where poses come from.
+
+    Raises:
+        TriformError: A file cannot be written, or pyarrow is not installed.
+        ModuleNotFoundError: foxglove-sdk is not installed, and a file is MCAP.
+    """
+    with ExitStack() as stack:
+        yield Writers([stack.enter_context(_open_writer(path, source)) for path in paths if path is not None])
+
+
+@contextmanager
+def _open_writer(path: Path, source: Source) -> Iterator[RunSink]:
+    """Give the writer of one file."""
+    kind: Callable[[Path, IO[bytes], Source], RunSink] = RunWriter
+    if path.suffix == ".mcap":
+        from triform.recordings.mcap import McapWriter
+
+        kind = McapWriter
+    else:
+        require_parquet()
+    with open_atomically(prepare_file(path)) as file:
+        writer = kind(path, file, source)
+        try:
+            yield writer
+            writer.close()
+        finally:
+            writer.give_up()
+
+
+class KeptRuns:
+    """A file of kept runs, of which one at a time is in memory.
+
+    Attributes:
+        description: What the file says of them.
+    """
+
+    def __init__(self, path: Path, description: Description) -> None:
+        """Take a file and its description."""
+        self._path, self.description = path, description
+
+    def __len__(self) -> int:
+        return len(self.description.runs)
+
+    def label(self, run: int) -> str:
+        """Return which run of which file a run is."""
+        return f"{self._path}, run {self.description.runs[run].run}"
+
+    def setting(self, run: int) -> RunSetting:
+        """Return the setting of a run.
+
+        Raises:
+            TriformError: It is damaged.
+        """
+        try:
+            return self.description.setting(self.description.runs[run])
+        except ConfigurationError as error:
+            raise TriformError(f"{self.label(run)} cannot be read: {error}") from None
+
+    def trajectory(self, run: int) -> Trajectory:
+        """Read a run, B = 1.
+
+        Raises:
+            TriformError: Its records are damaged.
+        """
+        raise NotImplementedError
+
+
+class ParquetRuns(KeptRuns):
+    """A Parquet file of kept runs."""
+
+    def __init__(self, path: Path, description: Description, file: Any) -> None:
+        """Take an open file and its description."""
+        super().__init__(path, description)
+        self._file = file
+
+    def trajectory(self, run: int) -> Trajectory:
+        """Read a run, B = 1, as ``KeptRuns.trajectory``."""
+        import pyarrow as pa
+
+        entry, where = self.description.runs[run], self.label(run)
+        try:
+            table = self._file.read_row_group(run, columns=list(COLUMNS))
+            columns = {name: table[name].to_numpy() for name in COLUMNS}
+        except (OSError, pa.ArrowException) as error:
+            raise TriformError(f"{where} cannot be read: {_first_line(error)}") from None
+        robots, rows = np.arange(entry.robots), len(table)
+        records = rows // max(1, entry.robots)
+        time = columns["time"][:: max(1, entry.robots)]
+        if (
+            records < 2
+            or rows != records * entry.robots
+            or (columns["run"] != entry.run).any()
+            or (columns["robot"] != np.tile(robots, records)).any()
+            or (columns["time"] != np.repeat(time, entry.robots)).any()
+            or not (np.diff(time) > 0).all()
+            or not is_plausible(time / _LATEST)
+        ):
+            raise TriformError(f"{where}: there is not one row for each record and robot, in this order")
+        shape = (1, records, entry.robots, 3)
+        poses = np.stack([columns[name] for name in _POSE], axis=1).reshape(shape)
+        commands = np.stack([columns[name] for name in _TWIST], axis=1).reshape(shape)[:, :-1]
+        active = ~np.isnan(poses).any(axis=-1)
+        if not (np.isnan(poses[~active]).all() and is_plausible(poses[active])):
+            raise TriformError(f"{where}: a pose is not whole, or absurd")
+        return Trajectory(time, poses, active, commands)
+
+
+def open_runs(path: Path) -> KeptRuns | None:
+    """Open a file of kept runs; ``None`` if it is another Parquet file.
+
+    Raises:
+        TriformError: The file is damaged.
+    """
+    require_parquet()
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        file = parquet.ParquetFile(path)
+    except pa.ArrowException as error:
+        raise TriformError(f"{path} cannot be read: {_first_line(error)}") from None
+    data = (file.metadata.metadata or {}).get(KEY)
+    if data is None:
+        return None
+    description = decode_description(data, str(path))
+    if file.num_row_groups != len(description.runs) or not set(COLUMNS) <= set(file.schema_arrow.names):
+        raise TriformError(f"{path} cannot be read: its rows are not those of its {len(description.runs)} runs")
+    return ParquetRuns(path, description, file)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0]

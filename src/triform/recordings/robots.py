@@ -1,0 +1,81 @@
+"""Kept runs of robots that ``triform drive`` drives and ``triform emulate`` emulates."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from triform.evaluation.rollout import Trajectory
+from triform.files import refuse_device
+from triform.recordings.description import RunSetting
+from triform.recordings.kept import Writers
+from triform.robots.drive import DriveConfig
+from triform.robots.emulate import EmulateConfig, Emulation
+from triform.robots.recorder import DRIVE_FILE, STEPS_FILE
+from triform.simulation import Arena
+from triform.types import FloatArray, TriformError
+
+#: Columns of the steps of a drive that are kept.
+_KEPT = ("time", "x", "y", "heading", "u_x", "u_y", "omega")
+
+
+class EmulationLog:
+    """True poses, and the commands that the bases hold, of emulated robots."""
+
+    def __init__(self) -> None:
+        """Begin without a record."""
+        self._records: list[tuple[float, FloatArray, FloatArray]] = []
+        self._measures: dict[str, FloatArray] = {}
+
+    def add(self, emulation: Emulation) -> None:
+        """Take a record."""
+        world = emulation.world
+        self._records.append((round(emulation.time, 9), emulation.poses.copy(), emulation.commands))
+        contacts = {"min_distance": world.min_distance, "collision": world.collided, "hit_arena": world.hit_arena}
+        self._measures = {name: np.array(values) for name, values in contacts.items()}
+
+    def write(self, writer: Writers, config: EmulateConfig) -> None:
+        """Write all records as one run.
+
+        Raises:
+            TriformError: There are less than two.
+        """
+        if len(self._records) < 2:
+            raise TriformError("nothing is kept, because the robots were emulated for less than two records")
+        time, poses, commands = (np.array(each) for each in zip(*self._records, strict=True))
+        trajectory = Trajectory(time, poses[None], np.ones((1, *poses.shape[:2]), np.bool_), commands[None, :-1])
+        setting = RunSetting(config.distance, config.kind.footprint, config.surroundings)
+        writer.add(trajectory, setting, {"run": np.array([config.index]), **self._measures})
+
+
+def write_drive(writer: Writers, folder: Path, config: DriveConfig) -> None:
+    """Write what ``triform drive`` recorded of one robot as one run: poses by odometry, and commands.
+
+    Args:
+        writer: Where to.
+        folder: The recording.
+        config: How the robot was driven.
+
+    Raises:
+        TriformError: The recording cannot be read, or has less than two steps.
+    """
+    path = folder / STEPS_FILE
+    try:
+        refuse_device(path)
+        with path.open(encoding="utf-8") as file:
+            columns = file.readline().strip().split(",")
+            rows = np.array([line.split(",") for line in file if line.endswith("\n")], np.float64)
+        settings = json.loads((folder / DRIVE_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise TriformError(f"{folder} cannot be read: {error}") from None
+    if len(rows) < 2:
+        raise TriformError(f"nothing is kept, because {path} has less than two steps")
+    time, *values = (rows[:, columns.index(name)] for name in _KEPT)
+    poses, commands = np.stack(values[:3], axis=1), np.stack(values[3:], axis=1)
+    known = np.asarray(np.isfinite(poses).all(axis=1))
+    poses[~known] = np.nan
+    run = Trajectory(time, poses[None, :, None], known[None, :, None], commands[None, :-1, None])
+    writer.add(run, RunSetting(config.distance, config.shape, Arena.open()), {})
+    writer.describe(settings)
