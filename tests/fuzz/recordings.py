@@ -20,8 +20,12 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
+from triform.evaluation import Trajectory
 from triform.evaluation.metrics import measure
+from triform.recordings.description import RunSetting
+from triform.recordings.kept import keep_runs
 from triform.recordings.resample import read_recordings
+from triform.simulation import Arena, Footprint
 from triform.types import TriformError
 
 _ABSURD = [
@@ -104,7 +108,38 @@ def motive_file(rng: np.random.Generator) -> bytes:
     return "\r\n".join([*lines, ""]).encode()
 
 
-FORMATS = {"csv": csv_file, "parquet": parquet_file, "npy": array_file, "motive": motive_file}
+def _kept(rng: np.random.Generator, ending: str) -> bytes:
+    """A kept run."""
+    moments, poses = _poses(rng)
+    run = Trajectory(
+        moments, poses[None], np.ones((1, *poses.shape[:2]), np.bool_), np.zeros((1, len(poses) - 1, 3, 3))
+    )
+    contacts = {"min_distance": np.ones(1), "collision": np.zeros(1, np.bool_), "hit_arena": np.zeros(1, np.bool_)}
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name, f"run{ending}")
+        with keep_runs(path) as writer:
+            writer.add(run, RunSetting(1.0, Footprint.circle(0.3), Arena.room(6.0, 6.0)), contacts)
+        return path.read_bytes()
+
+
+def kept_file(rng: np.random.Generator) -> bytes:
+    """A kept run as Parquet."""
+    return _kept(rng, ".parquet")
+
+
+def mcap_file(rng: np.random.Generator) -> bytes:
+    """A kept run as MCAP."""
+    return _kept(rng, ".mcap")
+
+
+FORMATS = {
+    "csv": csv_file,
+    "parquet": parquet_file,
+    "npy": array_file,
+    "motive": motive_file,
+    "kept": kept_file,
+    "mcap": mcap_file,
+}
 
 
 def damage(data: bytes, rng: np.random.Generator) -> bytes:
@@ -149,7 +184,7 @@ def damage(data: bytes, rng: np.random.Generator) -> bytes:
 
 def check(kind: str, data: bytes, folder: Path) -> bool:
     """Read a file and check that all holds; return whether it was measured."""
-    path = folder / f"run.{'csv' if kind == 'motive' else kind}"
+    path = folder / f"run.{ {'motive': 'csv', 'kept': 'parquet'}.get(kind, kind) }"
     path.write_bytes(data)
     recordings, sentence = [], ""
     try:

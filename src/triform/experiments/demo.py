@@ -79,7 +79,8 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     # Figures hold the graphs of all records.
     graphs = 2.0 * scenario.steps * config.robots**2
     require_memory(run_memory(scenario, config.robots) + graphs, f"a run of {config.robots} robots")
-    with own_folder(config.output):
+    kept = [path for path in (config.output / "run.parquet", config.mcap) if path is not None]
+    with own_folder(config.output), keep_runs(*kept) as writer:
         controller = scenario.make_controller(config.controller)
         poses = scenario.sample_starts(config.robots, 1, config.seed, first=config.index)
         bar = listener.progress(f"{config.robots} robots, {scenario.duration:g} s", scenario.steps * config.robots)
@@ -107,14 +108,9 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
                     config.output / "demo.json", {"config": settings, "wall_seconds": took, "results": [result]}
                 ),
             ]
-            with keep_runs(config.output / "run.parquet", config.mcap) as writer:
-                writer.add(
-                    trajectory,
-                    RunSetting.of(scenario, trajectory.poses.shape[2]),
-                    {"run": np.array([config.index]), **table},
-                )
-                writer.describe(settings)
-        paths += [path for path in (config.output / "run.parquet", config.mcap) if path is not None]
-        for path in paths:
-            listener.say(f"wrote {path}")
-        return paths
+            writer.describe(settings)
+        setting = RunSetting.of(scenario, trajectory.poses.shape[2])
+        writer.add(trajectory, setting, {"run": np.array([config.index]), **table})
+    for path in [*paths, *kept]:
+        listener.say(f"wrote {path}")
+    return [*paths, *kept]

@@ -74,6 +74,7 @@ class RunWriter:
             compression="zstd",
             use_dictionary=["run", "time", "robot"],
             use_byte_stream_split=[*_POSE, *_TWIST],
+            write_page_checksum=True,
         )
         self._descriptions = Descriptions(source)
 
@@ -287,7 +288,7 @@ def open_runs(path: Path) -> KeptRuns | None:
     from pyarrow import parquet
 
     try:
-        file = parquet.ParquetFile(path)
+        file = parquet.ParquetFile(path, page_checksum_verification=True)
     except pa.ArrowException as error:
         raise TriformError(f"{path} cannot be read: {_first_line(error)}") from None
     data = (file.metadata.metadata or {}).get(KEY)

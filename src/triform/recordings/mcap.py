@@ -310,10 +310,9 @@ def _message_class(schema: Any) -> Any:
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
     """Say in one sentence why an MCAP file cannot be read."""
-    from google.protobuf.message import DecodeError
-    from mcap.exceptions import McapError
-
     try:
         yield
-    except (McapError, DecodeError, KeyError, TypeError, ValueError, EOFError) as error:
+    except (TriformError, OSError, ModuleNotFoundError):
+        raise
+    except Exception as error:  # noqa: BLE001 - a damaged file fails in whatever way its compression has
         raise TriformError(f"{path} cannot be read: {str(error).partition(chr(10))[0]}") from None
