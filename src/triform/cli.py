@@ -31,6 +31,7 @@ _EXTRAS = {
     "mujoco": ("mujoco", "MuJoCo"),
     "ray": ("ray", "ray"),
     "serial": ("robot", "pyserial"),
+    "viser": ("view", "viser"),
 }
 
 
@@ -66,6 +67,7 @@ class Command:
 
 _TABLE = (
     ("look", "demo", "run one team and draw it", "--robots 9", "experiments.demo"),
+    ("look", "view", "watch a team in the browser, and reach into it", "--robots 9"),
     ("look", "show", "list profiles, arenas, controllers, policies; print one as TOML", "profile hardware"),
     (
         "measure", "evaluate", "measure a controller on many starts", "--robots 5 9 --runs 100 --json out.json",
