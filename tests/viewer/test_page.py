@@ -113,7 +113,7 @@ def test_people_reach_into_a_live_team(live: tuple[Session, str], tabs: Tabs) ->
     wait_for(lambda: session.picture().formation.time > 2 * session.period, tab)
     session.pause()
     # A good value is taken; a bad one is refused in a sentence and the team goes on as it was.
-    field = tab.get_by_label("robots", exact=True).or_(tab.locator("input").nth(1)).first
+    field = tab.get_by_label("robots", exact=True)
     field.fill("6")
     field.press("Enter")
     wait_for(lambda: session.setup.robots == 6, tab)

@@ -14,7 +14,7 @@ from triform.types import BoolArray, FloatArray, IntArray
 TRAIL = 4.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Formation:
     """A team at one moment.
 

@@ -88,6 +88,7 @@ class Page:
         """
         self._server, self._source, self._stage = server, source, stage
         self._next_numbers = 0.0
+        self._shown: tuple[object, ...] = ()
         # The button that shares a page sends it past this computer.
         red, green, blue = rgb(BLUE).tolist()
         server.gui.configure_theme(
@@ -122,8 +123,12 @@ class Page:
                 self._plots.distance = stage.distance
                 self.drawing = self._new_drawing()
             picked, sensing = self._sensing()
-            if self.drawing.show(picture, picked, sensing):
-                self._connect_bodies()
+            shown = (self.drawing, picture.formation, picture.poses.tobytes(), picked)
+            # Browsers draw only what has changed.
+            if shown != self._shown:
+                self._shown = shown
+                if self.drawing.show(picture, picked, sensing):
+                    self._connect_bodies()
             if time.monotonic() >= self._next_numbers:
                 self._next_numbers = time.monotonic() + 1 / _NUMBERS
                 self._status.content = status_html(picture.formation, self._source.speed, self._source.paused)
