@@ -33,7 +33,10 @@ if not NEEDED:
 from playwright.sync_api import Browser, sync_playwright  # noqa: E402
 from playwright.sync_api import Page as Tab  # noqa: E402
 
+from triform.viewer.film import FilmPage  # noqa: E402
 from triform.viewer.live import LivePage  # noqa: E402
+from triform.viewer.page import Stage  # noqa: E402
+from triform.viewer.playback import Playback  # noqa: E402
 from triform.viewer.server import close_server, open_server  # noqa: E402
 
 WINDOW = {"width": 900, "height": 600}
@@ -151,6 +154,23 @@ def test_a_page_without_a_server_plays_a_run(tmp_path: Path, tabs: Tabs) -> None
     tab.on("request", lambda request: asked.append(request.url))
     tab.wait_for_timeout(1000)
     assert [url for url in asked if not url.startswith(("data:", "blob:"))] == []
+
+
+def test_the_time_bar_of_a_recorded_run_follows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = Scenario(duration=6.0, arena="room-6")
+    trajectory, _ = scenario.run(scenario.sample_starts(4, 1, 7), "expert", 7, [0])
+    now = [0.0]
+    playback = Playback(trajectory, clock=lambda: now[0])
+    server = open_server("127.0.0.1", 8560, "triform")
+    try:
+        stage = Stage(scenario.team.outlines(4), scenario.surroundings, 1.0, scenario.team.profiles)
+        page = FilmPage(server, playback, stage, "run 1")
+        monkeypatch.setattr(server, "get_clients", lambda: {0: None})
+        now[0] = 2.5
+        page.draw()
+        assert page._bar.value == pytest.approx(2.5)
+    finally:
+        close_server(server)
 
 
 def test_an_address_that_this_computer_has_not_is_refused() -> None:
