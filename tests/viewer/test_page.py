@@ -149,7 +149,8 @@ def test_a_page_without_a_server_plays_a_run(tmp_path: Path, tabs: Tabs) -> None
     assert path.stat().st_size < 1_500_000
     tab = tabs.open(path.as_uri())
     tab.locator("canvas").first.wait_for()
-    tab.get_by_text("formation error").first.wait_for()
+    moment = tab.locator("input").first
+    wait_for(lambda: float(moment.input_value() or 0.0) > 0.5, tab)
     asked: list[str] = []
     tab.on("request", lambda request: asked.append(request.url))
     tab.wait_for_timeout(1000)
