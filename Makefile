@@ -31,7 +31,7 @@ KILTED := tests/ros2/test_ros_live.py tests/ros2/test_ros_turtlebot.py
 
 .PHONY: demo test test-quick gazebo fuzz bench clean
 
-demo: $(VENV)/installed-evaluate
+demo: $(VENV)/installed-view
 	$(BIN)/triform demo
 
 test: $(VENV)/installed-dev $(ROS)/installed $(ROS)-kilted/installed

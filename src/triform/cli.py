@@ -35,6 +35,7 @@ _EXTRAS = {
     "mcap": ("mcap", "mcap"),
     "google": ("mcap", "protobuf"),
     "rosbags": ("mcap", "rosbags"),
+    "viser": ("view", "viser"),
 }
 
 
@@ -70,6 +71,7 @@ class Command:
 
 _TABLE = (
     ("look", "demo", "run one team and draw it", "--robots 9", "experiments.demo"),
+    ("look", "view", "watch a team in the browser, and reach into it", "--robots 9"),
     ("look", "show", "list profiles, arenas, controllers, policies; print one as TOML", "profile hardware"),
     (
         "measure", "evaluate", "measure a controller on many starts", "--robots 5 9 --runs 100 --json out.json",

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import importlib.util
 import json
 import re
 import shlex
@@ -175,7 +176,8 @@ def test_a_bad_folder_is_refused_before_anything_runs(tmp_path, listener):
 def test_demo_prints_measures_and_the_paths_it_wrote(tmp_path, listener):
     config = options(DemoConfig, controller="expert-sensed", robots=4, duration=6.0, output=tmp_path)
     paths = run_demo(config, listener)
-    assert [path.name for path in paths] == ["demo.png", "demo.gif", "demo.json", "run.parquet"]
+    page = ["demo.html"] if importlib.util.find_spec("viser") else []
+    assert [path.name for path in paths] == ["demo.png", "demo.gif", "demo.json", *page, "run.parquet"]
     shown = listener.console.file.getvalue()
     for path in paths:
         assert path.exists()

@@ -35,6 +35,7 @@ import numpy as np
 SMALL = {
     "demo": "--robots 3 --duration 5 --controller expert",
     "show": "",
+    "view": "--html page.html --robots 3 --duration 5 --controller expert",
     "evaluate": "--robots 3 --runs 1 --duration 5 --controller expert --threads 1",
     "compare": "--robots 3 --hardware-robots 4 --runs 1 --large-runs 1 --duration 5 --controllers expert --threads 1",
     "conditions": "--which latency --robots 3 --runs 1 --failures 1 --duration 5 --controller expert --threads 1",

@@ -336,3 +336,26 @@ def test_coincident_and_single_robots_are_defined() -> None:
     alone = World(np.zeros((1, 1, 3)), IDEAL)
     assert np.all(alone.observe().scans.ranges == np.inf)
     assert alone.min_distance[0] == np.inf
+
+
+def test_a_moved_robot_is_as_one_that_left_and_joined_with_its_own_number() -> None:
+    start = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 2.0], [1.0, 1.0, 3.0]]])
+    moved, other = (World(start, IDEAL, seeds=[0]) for _ in range(2))
+    for world in (moved, other):
+        world.apply(np.full((1, 4, 3), 0.1), 0.25)
+    place = np.array([7.0, -7.0, 1.0])
+    moved.move_robot(0, 2, place)
+    other.remove_robot(0, 2)
+    assert other.add_robot(0, place) == 2
+    for world in (moved, other):
+        world.apply(np.full((1, 4, 3), 0.1), 0.25)
+    np.testing.assert_array_equal(moved.poses, other.poses)
+    np.testing.assert_array_equal(moved.observe().scans.ranges, other.observe().scans.ranges)
+    moved.remove_robot(0, 0)
+    moved.move_robot(0, 2, place)
+    np.testing.assert_array_equal(moved.active[0], [False, True, True, True])
+    for robot, pose in ((0, place), (9, place), (2, [0.0, np.nan, 0.0]), (2, [0.0, 0.0])):
+        before = moved.poses
+        with pytest.raises(TriformError):
+            moved.move_robot(0, robot, pose)
+        np.testing.assert_array_equal(moved.poses, before)

@@ -1,7 +1,8 @@
-"""The whole method in one command: nine robots, a policy, a table, a picture and an animation."""
+"""The whole method in one command: nine robots, a policy, a table, a picture, an animation and a page."""
 
 from __future__ import annotations
 
+import importlib.util
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,8 +36,8 @@ class DemoConfig:
         robots: Number of robots.
         seed: The start is a function of team size, seed and index alone.
         index: Which start: run ``index`` of an evaluation with the same team size and seed.
-        output: Folder for the picture, the animation, the measures, and the poses and commands that triform measure
-            reads.
+        output: Folder for the picture, the animation, the measures, the poses and commands that triform measure reads
+            and, with the extra view, a page that plays the run.
         mcap: File for what happened in MCAP with Foxglove's schemas, for viewers.
         threads: Threads of the whole command; one for each processor if omitted.
         scenario: Everything else about the run.
@@ -65,12 +66,14 @@ class DemoConfig:
 def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     """Run one team, show its measures and write a picture, an animation, the measures and what happened.
 
+    Where viser is installed, it writes a page too, on which the run is played.
+
     Args:
         config: What to run and where to put the files.
         listener: Hears of progress, tables and files.
 
     Returns:
-        The files written: PNG, GIF, JSON and Parquet.
+        The files written: PNG, GIF, JSON, perhaps HTML, and Parquet.
 
     Raises:
         TriformError: The folder cannot be written, or a name in the configuration is unknown.
@@ -108,6 +111,10 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
                     config.output / "demo.json", {"config": settings, "wall_seconds": took, "results": [result]}
                 ),
             ]
+            if importlib.util.find_spec("viser"):
+                from triform.viewer.offline import write_page
+
+                paths.append(write_page(trajectory, scene, config.output / "demo.html", scenario.team.profiles))
             writer.describe(settings)
         setting = RunSetting.of(scenario, trajectory.poses.shape[2])
         writer.add(trajectory, setting, {"run": np.array([config.index]), **table})

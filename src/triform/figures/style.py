@@ -81,7 +81,7 @@ def robot_colours(robots: int) -> list[Any]:
     return [mpl.colormaps["viridis"](share) for share in np.linspace(0.0, 0.88, max(1, robots))]
 
 
-def _corners(footprint: Footprint) -> FloatArray:
+def outline(footprint: Footprint) -> FloatArray:
     """Corners of an outline in the robot's frame [m], (K, 2); those of a circle are points of it."""
     if not footprint.is_circle:
         return footprint.corners
@@ -91,7 +91,7 @@ def _corners(footprint: Footprint) -> FloatArray:
 
 def footprint_outlines(poses: FloatArray, footprints: Sequence[Footprint]) -> list[FloatArray]:
     """Return the outline of every robot at ``poses`` (N, 3) in the world frame [m], each (K, 2)."""
-    return [pose[:2] + body_to_world(_corners(own), pose[2]) for pose, own in zip(poses, footprints, strict=True)]
+    return [pose[:2] + body_to_world(outline(own), pose[2]) for pose, own in zip(poses, footprints, strict=True)]
 
 
 def heading_marks(poses: FloatArray, footprints: Sequence[Footprint]) -> list[FloatArray]:

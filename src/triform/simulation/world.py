@@ -250,20 +250,28 @@ class World:
             TriformError: If there is no such world or the pose is not three finite numbers.
         """
         self._check_world(world)
-        placed = as_array("numbers of a pose", pose)
-        if placed.shape != (3,) or not np.isfinite(placed).all():
-            raise TriformError(f"a robot cannot be placed at {placed}; a pose is three finite numbers")
+        placed = _checked_pose(pose)
         free = np.flatnonzero(~self._active[world])
         if len(free) == 0:
             self._grow()
         robot = int(free[0]) if len(free) else self._active.shape[1] - 1
-        self._active[world, robot] = True
-        self._poses[world, robot] = integrate(placed, np.zeros(3), 0.0)
-        self._velocities[world, robot] = self._held[world, robot] = 0.0
-        kind = self._kind_of(robot)
-        kind.senses.add_robot(world, robot - kind.robots.start, self._poses[world, robot])
-        self._record()
+        self._place(world, robot, placed)
         return robot
+
+    def move_robot(self, world: int, robot: int, pose: ArrayLike) -> None:
+        """Put a robot elsewhere, at rest, as if it left and joined there with its own place along axis N.
+
+        Args:
+            world: Index of the world.
+            robot: Index of the robot along axis N.
+            pose: Pose in the world frame, shape (3,) [m, m, rad].
+
+        Raises:
+            TriformError: If there is no such world or robot, or the pose is not three finite numbers.
+        """
+        placed = _checked_pose(pose)
+        self.remove_robot(world, robot)
+        self._place(world, robot, placed)
 
     def remove_robot(self, world: int, robot: int) -> None:
         """Take a robot out of one world; its scans become ``+inf`` and its pose ``NaN``.
@@ -280,6 +288,15 @@ class World:
         self._velocities[world, robot] = self._held[world, robot] = 0.0
         kind = self._kind_of(robot)
         kind.senses.remove_robot(world, robot - kind.robots.start)
+
+    def _place(self, world: int, robot: int, pose: FloatArray) -> None:
+        """Let a robot begin at ``pose``, shape (3,), at rest."""
+        self._active[world, robot] = True
+        self._poses[world, robot] = integrate(pose, np.zeros(3), 0.0)
+        self._velocities[world, robot] = self._held[world, robot] = 0.0
+        kind = self._kind_of(robot)
+        kind.senses.add_robot(world, robot - kind.robots.start, self._poses[world, robot])
+        self._record()
 
     def _checked(self, commands: FloatArray) -> FloatArray:
         values = as_array("commands", commands)
@@ -370,6 +387,14 @@ class World:
         self._kinds[-1].robots = slice(self._kinds[-1].robots.start, self._active.shape[1])
         self._kinds[-1].senses.grow()
         self._arrange()
+
+
+def _checked_pose(pose: ArrayLike) -> FloatArray:
+    """Return a pose as an array, shape (3,), or refuse it."""
+    placed = as_array("numbers of a pose", pose)
+    if placed.shape != (3,) or not np.isfinite(placed).all():
+        raise TriformError(f"a robot cannot be placed at {placed}; a pose is three finite numbers")
+    return placed
 
 
 def make_world(

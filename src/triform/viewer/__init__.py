@@ -1,0 +1,1 @@
+"""The page in the browser: a live team, or a recorded run."""

@@ -1,0 +1,37 @@
+"""The command: what it refuses, and what it says where viser is missing."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from triform.cli import main
+
+
+def test_without_viser_one_sentence_says_what_to_install(tmp_path, monkeypatch, capsys) -> None:
+    for name in [each for each in sys.modules if each.startswith("triform.viewer.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert main(["view", "--html", str(tmp_path / "run.html")]) == 1
+    shown = capsys.readouterr().err.strip()
+    assert "view needs viser, which the extra 'view' installs: pip install 'triform[view]'" in shown
+    assert len(shown.splitlines()) == 1
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--port", "0"], "port is 0"),
+        (["--which", "1"], "which and rate are of recorded runs"),
+        (["--robots", "1000"], "a page shows 1 to 300"),
+        (["--event", "join"], "events are made by hand"),
+        (["--simulator", "mujoco"], "built-in world"),
+    ],
+)
+def test_wrong_options_are_wrong_usage(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["view", *options])
+    assert ended.value.code == 2
+    assert says in " ".join(capsys.readouterr().err.replace("│", " ").split())
