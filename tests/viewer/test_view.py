@@ -7,6 +7,9 @@ import sys
 import pytest
 
 from triform.cli import main
+from triform.recordings.resample import read_recordings
+from triform.simulation import get_arena
+from triform.viewer.view import ViewConfig, stage_of
 
 
 def test_without_viser_one_sentence_says_what_to_install(tmp_path, monkeypatch, capsys) -> None:
@@ -35,3 +38,15 @@ def test_wrong_options_are_wrong_usage(options: list[str], says: str, capsys: py
         main(["view", *options])
     assert ended.value.code == 2
     assert says in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+def test_a_kept_run_is_drawn_with_the_distance_and_arena_that_it_had(tmp_path) -> None:
+    kept = tmp_path / "run.parquet"
+    scenario = ["--arena", "room-6", "--distance", "0.8", "--duration", "5", "--controller", "expert"]
+    assert main(["evaluate", "--robots", "4", "--runs", "1", "--keep", str(kept), *scenario]) == 0
+    config = ViewConfig(kept)
+    (recording,) = read_recordings(kept)
+    stage = stage_of(config, recording.trajectory, recording)
+    assert stage.distance == 0.8
+    assert len(stage.arena.walls) == len(get_arena("room-6").walls) > 0
+    assert stage_of(config, recording.trajectory, None).distance == 1.0

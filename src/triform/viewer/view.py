@@ -96,7 +96,7 @@ def run_view(config: ViewConfig, listener: Listener = SILENT, on_open: Callable[
     if config.html is not None:
         trajectory = recording.trajectory if recording else _simulate(config, listener)
         with listener.progress("drawing", 1):
-            stage = _stage(config, trajectory)
+            stage = stage_of(config, trajectory, recording)
             write_page(trajectory, Scene(*stage[:3]), config.html, stage.profiles, _TITLE)
         listener.say(f"wrote {config.html}")
         return
@@ -110,8 +110,9 @@ def run_view(config: ViewConfig, listener: Listener = SILENT, on_open: Callable[
                 session.start()
             else:
                 assert recording is not None
-                playback = Playback(recording.trajectory, config.scenario.distance)
-                page = FilmPage(server, playback, _stage(config, recording.trajectory), recording.label)
+                stage = stage_of(config, recording.trajectory, recording)
+                playback = Playback(recording.trajectory, stage.distance)
+                page = FilmPage(server, playback, stage, recording.label)
             listener.say(f"the page is at http://{config.address}:{server.get_port()}; Ctrl-C ends it")
             if config.address != _LOOPBACK:
                 listener.say("whoever reaches that address can use the page")
@@ -128,12 +129,16 @@ def _pick(recordings: list[Recording], which: int) -> Recording:
     return recordings[which]
 
 
-def _stage(config: ViewConfig, trajectory: Trajectory) -> Stage:
+def stage_of(config: ViewConfig, trajectory: Trajectory, recording: Recording | None) -> Stage:
+    """Return outlines, arena and d* of a run: those that its file has, else those of the options."""
     from triform.viewer.page import Stage
 
     scenario = config.scenario
-    outlines = scenario.team.outlines(trajectory.poses.shape[2])
-    return Stage(outlines, scenario.surroundings, scenario.distance, scenario.team.profiles)
+    profiles = scenario.team.profiles
+    if recording is not None and recording.setting is not None:
+        setting = recording.setting
+        return Stage(setting.footprint, setting.arena, setting.distance, profiles)
+    return Stage(scenario.team.outlines(trajectory.poses.shape[2]), scenario.surroundings, scenario.distance, profiles)
 
 
 def _simulate(config: ViewConfig, listener: Listener) -> Trajectory:
