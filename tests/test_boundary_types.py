@@ -16,7 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import triform
+from triform.control import ControllerSpec
 from triform.evaluation import Trajectory, measure
+from triform.evaluation.scenario import Scenario
 from triform.experiments.evaluate import EvaluateConfig
 from triform.geometry import assess, body_to_world, edge_error, gabriel_graph, smallest_distance, wrap_angle
 from triform.perception import occupancy_maps
@@ -227,6 +229,8 @@ REQUIRED: dict[str, dict[str, Any]] = {
     "MeasureConfig": {"files": ("run.csv",)},
     "Measure": {"files": ("run.csv",)},
     "NoiseBand": {"up_to": 1.0},
+    "OrcaSettings": {"radius": 0.2},
+    "Setup": {"scenario": Scenario(), "controller": ControllerSpec(), "robots": 9, "seed": 7},
     "Profile": {"name": "mine"},
     "Teacher": {"name": "expert"},
     "LidarModel": {"name": "mine", "samples_per_second": 4500.0, "period": 0.1, "range_min": 0.1, "range_max": 8.0},

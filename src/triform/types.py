@@ -320,8 +320,8 @@ class View:
         active: Which robots exist, shape (B, N); the others' scans are ``+inf`` throughout.
         time: Time since the start of the run [s].
         noise: Two standard normal numbers of every robot's own seeded generator, drawn anew every ``NOISE_PERIOD``, for
-            controllers that noise robots at random, shape (B, N, 2); smaller in proportion for holonomic bases that
-            are slower than 0.5 m/s. They last longer for robots that know late, and for differential bases, for which
+            controllers that noise robots at random, shape (B, N, 2); smaller and longer for holonomic bases that are
+            slower than 0.5 m/s. They last longer for robots that know late, too, and for differential bases, for which
             they also keep their direction in the world and have one size at all speeds. ``None`` where the team has no
             such generator.
         odometry: Wheel odometry: the pose of every robot in its own body frame at the moment that its scan shows

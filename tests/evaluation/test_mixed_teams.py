@@ -43,7 +43,7 @@ def test_each_kind_is_steered_as_a_team_of_its_own_with_its_scans() -> None:
     for name in ("policy", "scan-pipeline"):
         commands = scenario.make_controller(name).command(view)
         for profile, part, robots in zip(scenario.team.profiles, view.parts, view.robots, strict=True):
-            alone = make_controller(name, footprint=profile.footprint.size)
+            alone = make_controller(name, footprint=profile.footprint.size, noise=profile.lidar.largest_noise)
             np.testing.assert_array_equal(commands[:, robots], alone.command(part))
 
 

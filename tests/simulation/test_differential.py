@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from triform.simulation import IDEAL, Drive, World, integrate, limit_twists, steer
-from triform.simulation.noise import noise_in_body, noise_keys, noise_period
+from triform.simulation.noise import noise_in_body, noise_keys, noise_period, noise_scale
 from triform.simulation.odometry import resting_poses
 from triform.types import NOISE_PERIOD, ConfigurationError, FloatArray
 
@@ -165,6 +165,18 @@ def test_noise_keeps_its_direction_while_a_robot_turns(seed: int, turn: float, r
     # A holonomic robot does not turn, and its noise does not ask for a heading.
     sideways = noise_in_body(keys, Drive(), 0.0, np.array([[0.5]]))
     np.testing.assert_array_equal(sideways, noise_in_body(keys, Drive(), 0.0, np.array([[turn]])))
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.floats(0.02, 2.0))
+def test_the_noise_of_a_slow_base_is_smaller_and_lasts_longer(speed: float) -> None:
+    slow, share = Drive(max_axis_speed=speed), min(1.0, speed / 0.5)
+    assert noise_scale(slow) == pytest.approx(np.sqrt(share))
+    assert noise_period(slow) * share == pytest.approx(NOISE_PERIOD)
+    keys, sizes = noise_keys([], 200), []
+    for drive in (slow, Drive()):
+        sizes.append(noise_in_body(keys, drive, 0.0, np.zeros((200, 1))).std())
+    assert sizes[0] == pytest.approx(np.sqrt(share) * sizes[1])
 
 
 def test_noise_lasts_as_long_as_a_turn_needs() -> None:

@@ -53,17 +53,16 @@ def _fill(keys, slot, out):
 def noise_scale(drive: Drive) -> float:
     """Share of its full size that exploration noise has for robots with this base.
 
-    That of a slow base is smaller in proportion, because what is cut to one speed, noise and command alike, would be
-    hardly anything but noise. A differential base spends most of the time that a noise lasts on turning to it, so there
-    it has one size at all speeds.
+    That of a slow base is smaller, because what is cut to one speed, noise and command alike, would be hardly anything
+    but noise. It lasts longer instead: held in inverse proportion to the speed, a size that falls as its square root
+    still carries robots far enough to break strained patches. A differential base spends most of the time that a noise
+    lasts on turning to it, so there it has one size at all speeds.
     """
-    if drive.is_differential:
-        return _ROLLING_NOISE
-    return min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_NOISE_SPEED)
+    return _ROLLING_NOISE if drive.is_differential else math.sqrt(_speed_share(drive))
 
 
 def noise_period(drive: Drive, pace: float = 1.0) -> float:
-    """How long a robot holds its noise [s]: ``NOISE_PERIOD`` after the longest turn to its direction, both at its pace.
+    """How long a robot holds its noise [s]: ``NOISE_PERIOD``, longer for slow bases, and after the longest turn to it.
 
     Args:
         drive: Its base.
@@ -72,8 +71,13 @@ def noise_period(drive: Drive, pace: float = 1.0) -> float:
     """
     wheels = drive.wheels
     if wheels is None:
-        return NOISE_PERIOD / pace
+        return NOISE_PERIOD / (_speed_share(drive) * pace)
     return (NOISE_PERIOD + (0.5 if wheels.reverses else 1.0) * math.pi / wheels.max_turn_rate) / pace
+
+
+def _speed_share(drive: Drive) -> float:
+    """Speed of a holonomic base along each axis as a share of that at which noise has its full size, at most 1."""
+    return min(1.0, min(drive.max_speed, drive.max_axis_speed) / _FULL_NOISE_SPEED)
 
 
 def noise_keys(seeds: Sequence[np.random.SeedSequence], worlds: int) -> NDArray[np.uint64]:
