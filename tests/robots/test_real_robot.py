@@ -277,7 +277,7 @@ def test_pushes_are_those_of_its_own_seed_and_small_for_a_slow_base() -> None:
     slow = RealRobot(FakeLidar(), None, 0.1, 5, LIMITS).observe().noise
     fast = RealRobot(FakeLidar(), None, 0.1, 5, Drive()).observe().noise
     other = RealRobot(FakeLidar(), None, 0.1, 6, LIMITS).observe().noise
-    np.testing.assert_allclose(slow, 0.2 * fast)
+    np.testing.assert_allclose(slow, np.sqrt(0.2) * fast)
     assert (slow != other).all()
 
 
