@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
+from tests.controllers import Given
 from triform.control import OrcaFilter, OrcaSettings, SafetyFilter, make_controller
 from triform.evaluation import Scenario
 from triform.evaluation.events import Event
@@ -25,22 +26,6 @@ from triform.types import ConfigurationError, FloatArray, PrivilegedView, Scan, 
 RADIUS = 0.2
 SETTINGS = OrcaSettings(RADIUS)
 CONFIG = ScanConfig(rays=4)
-
-
-class Given:
-    """A controller whose commands are given."""
-
-    privileged = False
-
-    def __init__(self, commands) -> None:
-        self.commands = np.asarray(commands, dtype=float)
-
-    @property
-    def description(self):
-        return {"name": "given"}
-
-    def command(self, view: View) -> FloatArray:
-        return self.commands
 
 
 class Towards:

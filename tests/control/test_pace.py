@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.controllers import Given
 from triform.control.safety import SafetyFilter, SafetySettings
 from triform.control.triangulating import TriangulatingLaw
 from triform.evaluation.filters import team_settings
@@ -17,7 +18,6 @@ from triform.evaluation.scenario import Scenario
 from triform.simulation import HARDWARE, IDEAL, PROFILES, World, pace
 from triform.simulation.noise import noise_in_body, noise_keys, noise_period
 from triform.simulation.shipped import BURGER
-from triform.types import FloatArray, View
 
 LAW = TriangulatingLaw()
 #: Commands a second and latency [s] with which the law is unstable at full pace.
@@ -35,20 +35,6 @@ def lattice() -> np.ndarray:
     i, j = np.mgrid[-2:3, -2:3].reshape(2, -1)
     inside = np.abs(i + j) <= 2
     return np.stack([i + 0.5 * j, np.sqrt(0.75) * j], axis=1)[inside]
-
-
-class Given:
-    privileged = False
-
-    def __init__(self, commands: FloatArray) -> None:
-        self.commands = commands
-
-    @property
-    def description(self) -> dict[str, str]:
-        return {"name": "given"}
-
-    def command(self, view: View) -> FloatArray:
-        return self.commands
 
 
 @pytest.mark.parametrize("profile", PROFILES.values(), ids=lambda profile: profile.name)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from shapely import Point, box
 
+from tests.controllers import Given
 from triform.control import safety
 from triform.control.expert import Expert
 from triform.control.safety import SafetyFilter, SafetySettings, reaction_time
@@ -28,22 +29,6 @@ from triform.threads import limit_threads
 from triform.types import ConfigurationError, Controller, FloatArray, PrivilegedView, Scan, ScanConfig, View
 
 CONFIG = ScanConfig()
-
-
-class Given:
-    """A controller whose commands are given."""
-
-    privileged = False
-
-    def __init__(self, commands) -> None:
-        self.commands = np.asarray(commands, dtype=float)
-
-    @property
-    def description(self):
-        return {"name": "given"}
-
-    def command(self, view: View) -> FloatArray:
-        return self.commands
 
 
 class Crush:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import Point
 
+from tests.controllers import Given
 from tests.fuzz.arcs import Reckless
 from triform.control import SafetyFilter, SafetySettings, make_controller, rolling_arcs
 from triform.evaluation.scenario import Scenario
@@ -55,20 +56,6 @@ class Crush:
         ahead = view.poses[..., :2].mean(axis=1, keepdims=True) - view.poses[..., :2]
         angle = np.arctan2(ahead[..., 1], ahead[..., 0]) - view.poses[..., 2]
         return np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
-
-
-class Given:
-    privileged = False
-
-    @property
-    def description(self):
-        return {"name": "given"}
-
-    def __init__(self, commands) -> None:
-        self.commands = np.asarray(commands, dtype=float)
-
-    def command(self, view: View) -> FloatArray:
-        return self.commands
 
 
 def guarded(controller, profile: Profile) -> SafetyFilter:

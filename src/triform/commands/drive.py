@@ -9,7 +9,7 @@ from typing import ClassVar
 from rich.console import Console
 
 from triform.commands.drive_screen import DriveScreen
-from triform.recordings.kept import check_kept, keep_runs
+from triform.recordings.kept import check_kept
 from triform.robots.drive import DriveConfig, run_drive
 from triform.types import require
 
@@ -42,19 +42,16 @@ class Drive(DriveConfig):
     def run(self, console: Console) -> None:
         """Drive, show how it goes, and where the time went."""
         screen = DriveScreen(console, self.outline, self.dry_run, self.threshold)
-        if self.record is None or (self.keep is None and self.mcap is None):
+        if self.record is None:
             run_drive(self, screen)
             return
-        from triform.recordings.robots import write_drive
+        from triform.recordings.robots import keep_until_signal, write_drive
 
-        with keep_runs(self.keep, self.mcap, source="odometry") as writer:
-            ended = None
-            try:
-                run_drive(self, screen)
-            except SystemExit as error:
-                # A signal ends most drives.
-                ended = error
-            write_drive(writer, self.record, self)
-        screen.say(f"kept in {' and '.join(str(path) for path in (self.keep, self.mcap) if path is not None)}")
-        if ended is not None:
-            raise ended
+        record = self.record
+        keep_until_signal(
+            (self.keep, self.mcap),
+            "odometry",
+            lambda: run_drive(self, screen),
+            lambda writer: write_drive(writer, record, self),
+            screen.say,
+        )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 from rich.console import Console
 
 from triform.commands.screen import Screen
-from triform.recordings.kept import check_kept, keep_runs
+from triform.recordings.kept import check_kept
 from triform.robots.emulate import EmulateConfig, run_emulate
 
 
@@ -38,22 +38,15 @@ class Emulate(EmulateConfig):
 
     def run(self, console: Console) -> None:
         """Emulate, and show how to drive the robots."""
-        screen = Screen(console)
-        if self.keep is None and self.mcap is None:
-            run_emulate(self, screen.say, screen.warn)
-            return
-        from triform.recordings.robots import EmulationLog
-        from triform.report.output import plain
+        from triform.recordings.robots import EmulationLog, keep_until_signal
 
-        log, ended = EmulationLog(), None
-        with keep_runs(self.keep, self.mcap) as writer:
-            try:
-                run_emulate(self, screen.say, screen.warn, log.add)
-            except SystemExit as error:
-                # A signal ends most emulations.
-                ended = error
-            log.write(writer, self)
-            writer.describe(plain(asdict(self)))
-        screen.say(f"kept in {' and '.join(str(path) for path in (self.keep, self.mcap) if path is not None)}")
-        if ended is not None:
-            raise ended
+        screen, log = Screen(console), EmulationLog()
+        kept = self.keep, self.mcap
+        on_record = log.add if any(kept) else None
+        keep_until_signal(
+            kept,
+            "simulation",
+            lambda: run_emulate(self, screen.say, screen.warn, on_record),
+            lambda writer: log.write(writer, self),
+            screen.say,
+        )

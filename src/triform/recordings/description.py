@@ -194,14 +194,14 @@ class Descriptions:
         #: Settings and controller, for people; plain JSON values.
         self.settings: Mapping[str, Any] = {}
 
-    def add(self, setting: RunSetting, robots: int, start: int | None, measures: Mapping[str, Any]) -> RunEntry:
+    def add(self, setting: RunSetting, robots: int, measures: Mapping[str, Any]) -> RunEntry:
         """Add a run.
 
         Args:
             setting: Its setting.
             robots: Its robots, those that join included.
-            start: Index of its start.
-            measures: Measures of the whole run, of which those of ``WHOLE_RUN`` are kept.
+            measures: Measures of the whole run, of which those of ``WHOLE_RUN`` are kept; ``run`` is the index of its
+                start.
         """
         place = setting.arena
         arena = ArenaTable(
@@ -212,7 +212,7 @@ class Descriptions:
         outlines = (setting.footprint,) if isinstance(setting.footprint, Footprint) else setting.footprint
         entry = RunEntry(
             len(self._runs),
-            start,
+            int(measures["run"]) if "run" in measures else None,
             robots,
             float(setting.distance),
             self._arenas.index(arena),

@@ -140,7 +140,7 @@ def read_array(path: Path, rate: float | None) -> list[RawRun]:
         with path.open("rb") as file:
             values = np.lib.format.read_array(file, allow_pickle=False)
     except (ValueError, EOFError, MemoryError, tokenize.TokenError) as error:
-        raise TriformError(f"{path} is not an .npy file of numbers: {_first_line(error)}") from None
+        raise TriformError(f"{path} is not an .npy file of numbers: {first_line(error)}") from None
     if values.dtype.kind not in "fiu" or values.ndim not in (3, 4) or values.shape[-1] != 3:
         raise TriformError(
             f"{path} holds {values.dtype} of shape {values.shape}; poses of shape (T, N, 3) or (B, T, N, 3) are needed"
@@ -219,7 +219,7 @@ def read_parquet(path: Path) -> list[RawRun]:
         kept = _kept(path, parquet.read_schema(path).names)
         table = parquet.read_table(path, columns=kept)
     except pa.ArrowException as error:
-        raise TriformError(f"{path} cannot be read: {_first_line(error)}") from None
+        raise TriformError(f"{path} cannot be read: {first_line(error)}") from None
     for index, name in enumerate(table.column_names):
         kind = pa.float64() if name in _NUMBERS else pa.string()
         try:
@@ -270,7 +270,7 @@ def read_cells(
             ),
         )
     except pa.ArrowException as error:
-        reason = _first_line(error)
+        reason = first_line(error)
     else:
         if not any(table[name].null_count for name in ("time", *texts)):
             return table
@@ -301,7 +301,8 @@ def _first_bad_line(
     return f"{path} holds no poses below its headings" if empty else None
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
+    """Return the first line of what an error says."""
     return str(error).partition("\n")[0]
 
 

@@ -17,6 +17,7 @@ from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory
 from triform.files import cannot_write, open_atomically
 from triform.recordings.description import Description, Descriptions, RunSetting, Source, decode_description
+from triform.recordings.formats import first_line
 from triform.report.output import prepare_file
 from triform.report.tables import require_parquet
 from triform.types import ConfigurationError, TriformError, is_plausible, require
@@ -93,8 +94,7 @@ class RunWriter:
         robots = trajectory.poses.shape[2]
         for run in range(len(trajectory.poses)):
             row = {name: column[run] for name, column in measures.items()}
-            start = int(row["run"]) if "run" in row else None
-            entry = self._descriptions.add(setting, robots, start, row)
+            entry = self._descriptions.add(setting, robots, row)
             try:
                 self._writer.write_table(self._table(entry.run, trajectory.run(run)))
             except OSError as error:
@@ -254,7 +254,7 @@ class ParquetRuns(KeptRuns):
             table = self._file.read_row_group(run, columns=list(COLUMNS))
             columns = {name: table[name].to_numpy() for name in COLUMNS}
         except (OSError, pa.ArrowException) as error:
-            raise TriformError(f"{where} cannot be read: {_first_line(error)}") from None
+            raise TriformError(f"{where} cannot be read: {first_line(error)}") from None
         robots, rows = np.arange(entry.robots), len(table)
         records = rows // max(1, entry.robots)
         time = columns["time"][:: max(1, entry.robots)]
@@ -290,7 +290,7 @@ def open_runs(path: Path) -> KeptRuns | None:
     try:
         file = parquet.ParquetFile(path, page_checksum_verification=True)
     except pa.ArrowException as error:
-        raise TriformError(f"{path} cannot be read: {_first_line(error)}") from None
+        raise TriformError(f"{path} cannot be read: {first_line(error)}") from None
     data = (file.metadata.metadata or {}).get(KEY)
     if data is None:
         return None
@@ -298,7 +298,3 @@ def open_runs(path: Path) -> KeptRuns | None:
     if file.num_row_groups != len(description.runs) or not set(COLUMNS) <= set(file.schema_arrow.names):
         raise TriformError(f"{path} cannot be read: its rows are not those of its {len(description.runs)} runs")
     return ParquetRuns(path, description, file)
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).partition("\n")[0]

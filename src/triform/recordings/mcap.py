@@ -72,7 +72,7 @@ class McapWriter:
             f"{self._path} holds one run, because viewers play one; keep several in Parquet",
         )
         row = {name: column[0] for name, column in measures.items()}
-        description.add(setting, trajectory.poses.shape[2], int(row["run"]) if "run" in row else None, row)
+        description.add(setting, trajectory.poses.shape[2], row)
         try:
             self._write(trajectory, setting)
         except OSError as error:

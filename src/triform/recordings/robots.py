@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from triform.evaluation.rollout import Trajectory
 from triform.files import refuse_device
-from triform.recordings.description import RunSetting
-from triform.recordings.kept import Writers
+from triform.recordings.description import RunSetting, Source
+from triform.recordings.kept import Writers, keep_runs
+from triform.report.output import plain
 from triform.robots.drive import DriveConfig
 from triform.robots.emulate import EmulateConfig, Emulation
 from triform.robots.recorder import DRIVE_FILE, STEPS_FILE
@@ -19,6 +22,41 @@ from triform.types import FloatArray, TriformError
 
 #: Columns of the steps of a drive that are kept.
 _KEPT = ("time", "x", "y", "heading", "u_x", "u_y", "omega")
+
+
+def keep_until_signal(
+    paths: tuple[Path | None, ...],
+    source: Source,
+    run: Callable[[], object],
+    write: Callable[[Writers], None],
+    say: Callable[[str], object],
+) -> None:
+    """Run robots until they end or a signal ends them, and keep what happened.
+
+    Args:
+        paths: Where to, as ``keep_runs``; nothing is kept if all are ``None``.
+        source: Where poses come from.
+        run: Runs the robots.
+        write: Writes what happened.
+        say: Hears where it is kept.
+
+    Raises:
+        SystemExit: A signal ended the robots; what happened is kept by then.
+    """
+    named = [str(path) for path in paths if path is not None]
+    if not named:
+        run()
+        return
+    ended = None
+    with keep_runs(*paths, source=source) as writer:
+        try:
+            run()
+        except SystemExit as error:
+            ended = error
+        write(writer)
+    say(f"kept in {' and '.join(named)}")
+    if ended is not None:
+        raise ended
 
 
 class EmulationLog:
@@ -48,6 +86,7 @@ class EmulationLog:
         trajectory = Trajectory(time, poses[None], np.ones((1, *poses.shape[:2]), np.bool_), commands[None, :-1])
         setting = RunSetting(config.distance, config.kind.footprint, config.surroundings)
         writer.add(trajectory, setting, {"run": np.array([config.index]), **self._measures})
+        writer.describe(plain(asdict(config)))
 
 
 def write_drive(writer: Writers, folder: Path, config: DriveConfig) -> None:

@@ -28,7 +28,7 @@ class Formation:
         closed: Which of them have three edges within 10 % of d*, shape (K,).
         error: Mean relative edge error; ``NaN`` where there is no edge.
         strict: Whether the formation is a triangulation.
-        compactness: Edges over the most that so many robots can have; ``NaN`` for fewer than two.
+        compactness: Edges over the most that a team of this size can have; ``NaN`` for fewer than two.
     """
 
     time: float

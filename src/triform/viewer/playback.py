@@ -11,7 +11,7 @@ import numpy as np
 from triform.evaluation.rollout import Trajectory
 from triform.types import require
 from triform.viewer.formation import TRAIL, Course, Formation, Picture, between, course_row, earlier_poses
-from triform.viewer.session import SPEEDS
+from triform.viewer.session import check_speed
 
 #: Records are shown at most this often [s].
 _SHORTEST_STEP = 0.08
@@ -98,7 +98,7 @@ class Playback:
 
     @speed.setter
     def speed(self, speed: float) -> None:
-        require(0 < speed <= max(SPEEDS), f"speed is {speed:g}; it must be positive and at most {max(SPEEDS):g}")
+        check_speed(speed)
         with self._lock:
             self.seek(self.now)
             self._speed = speed

@@ -288,7 +288,7 @@ class Drawing:
     def _show_sensing(
         self, sensing: Sensing | None, formation: Formation, poses: FloatArray, picked: int | None, colours: Colours
     ) -> None:
-        """Draw how far a robot looks, what its LiDAR hit, and where it is told to go."""
+        """Draw how far a robot looks, what its LiDAR hit, and its command."""
         row = np.flatnonzero(formation.robots == (-1 if picked is None else picked))
         if sensing is None or len(row) == 0:
             none, no_colour = np.zeros((0, 2, 3)), np.zeros((0, 2, 3), dtype=np.uint8)

@@ -28,6 +28,15 @@ SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 MOST_ROBOTS = 300
 
 
+def check_speed(speed: float) -> None:
+    """Refuse how many times faster than real nothing is shown.
+
+    Raises:
+        ConfigurationError: ``speed`` is not positive, or above the largest of ``SPEEDS``.
+    """
+    require(0 < speed <= max(SPEEDS), f"speed is {speed:g}; it must be positive and at most {max(SPEEDS):g}")
+
+
 @dataclass(frozen=True)
 class Setup:
     """What team a session has.
@@ -75,7 +84,7 @@ class Setup:
 class Session:
     """One team that goes on until it is stopped; every method may be called from any thread.
 
-    A thread of its own simulates. Who draws asks for a ``picture`` and waits for nobody.
+    A thread of its own simulates. A page asks for a ``picture`` and never waits for a step.
     """
 
     def __init__(self, setup: Setup, threads: int | None = None, clock: Callable[[], float] = time.monotonic) -> None:
@@ -134,7 +143,7 @@ class Session:
 
     @speed.setter
     def speed(self, speed: float) -> None:
-        require(0 < speed <= max(SPEEDS), f"speed is {speed:g}; it must be positive and at most {max(SPEEDS):g}")
+        check_speed(speed)
         with self._condition:
             self._speed = speed
             self._condition.notify_all()
