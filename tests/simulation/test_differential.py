@@ -181,8 +181,8 @@ def test_the_noise_of_a_slow_base_is_smaller_and_lasts_longer(speed: float) -> N
 
 def test_noise_lasts_as_long_as_a_turn_needs() -> None:
     assert noise_period(Drive()) == NOISE_PERIOD
-    assert noise_period(ROLLING) == pytest.approx(NOISE_PERIOD + 0.25 * np.pi)
-    assert noise_period(replace(ROLLING, reverse=False)) == pytest.approx(NOISE_PERIOD + 0.5 * np.pi)
+    assert noise_period(ROLLING) == pytest.approx(1.5 + 0.25 * np.pi)
+    assert noise_period(replace(ROLLING, reverse=False)) == pytest.approx(1.5 + 0.5 * np.pi)
 
 
 @pytest.mark.parametrize(

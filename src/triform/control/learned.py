@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from triform.control.last_step import LastStep
 from triform.control.scan_packer import SCANS_AT_ONCE, ScanPacker
 from triform.policy import GnnRuntime, PolicyRuntime, PolicySpec, describe_network, map_network
 from triform.threads import in_parts
@@ -83,10 +84,14 @@ class LearnedPolicy:
         self._distance = distance
         self._clock = clock
         self._packed: tuple[ScanConfig, ScanPacker] | None = None
+        self._last = LastStep()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but the packer with its workspaces, which the first scan brings back."""
-        return self.__dict__ | {"_packed": None}
+        """Return all but the packer with its workspaces and the last step, which the first scan brings back."""
+        return self.__dict__ | {"_packed": None, "_last": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ |= state | {"_last": LastStep()}
 
     @property
     def description(self) -> dict[str, Any]:
@@ -100,25 +105,33 @@ class LearnedPolicy:
             ConfigurationError: If the scans do not fit the policy's training.
         """
         packer = self._packer_for(view.scans)
-        commands = np.zeros((*view.active.shape, 3))
-        robots = np.flatnonzero(view.active)
+        active = view.active.reshape(-1)
         ranges = view.scans.ranges.reshape(-1, view.scans.config.rays)
-        flat = commands.reshape(-1, 3)
-        odometry = None if view.odometry is None else view.odometry.reshape(-1, 3)
-        noise = None if view.noise is None else view.noise.reshape(-1, 2)
+        odometry = np.zeros((len(ranges), 3)) if view.odometry is None else view.odometry.reshape(-1, 3)
+        outputs = self._network.outputs
+        # An answer is what the network says, and whether the robot sees nobody.
+        changed, answers = self._last.compare(view.scans, odometry, active, outputs + 1)
+        asked = np.flatnonzero(changed)
 
-        def drive(first: int, last: int) -> None:
+        def ask(first: int, last: int) -> None:
             for begin in range(first, last, SCANS_AT_ONCE):
-                some = robots[begin : min(begin + SCANS_AT_ONCE, last)]
-                packed = packer.pack(ranges[some], None if odometry is None else odometry[some])
+                some = asked[begin : min(begin + SCANS_AT_ONCE, last)]
+                packed = packer.pack(ranges[some], odometry[some])
                 if self._clock is not None:
                     self._clock()
-                answers = self._runtime.commands(packed)
-                if self._spec.search_push > 0.0 and view.time >= _FIRST_SCAN:
-                    answers[packed.counts == 0] = (0.0, 0.0, 0.0, self._spec.search_push)
-                flat[some] = to_twists(answers, None if noise is None else noise[some], self._spec, self._scale)
+                answers[some, :outputs] = self._runtime.commands(packed)
+                answers[some, outputs] = packed.counts == 0
 
-        in_parts(drive, len(robots), len(robots), _ROBOTS_PER_THREAD)
+        in_parts(ask, len(asked), len(asked), _ROBOTS_PER_THREAD)
+        self._last.keep()
+        commands = np.zeros((*view.active.shape, 3))
+        robots = np.flatnonzero(active)
+        known = answers[robots]
+        wanted = known[:, :outputs]
+        if self._spec.search_push > 0.0 and view.time >= _FIRST_SCAN:
+            wanted[known[:, outputs] > 0.0] = (0.0, 0.0, 0.0, self._spec.search_push)
+        noise = None if view.noise is None else view.noise.reshape(-1, 2)[robots]
+        commands.reshape(-1, 3)[robots] = to_twists(wanted, noise, self._spec, self._scale)
         return commands
 
     def _packer_for(self, scans: Scan) -> ScanPacker:

@@ -21,6 +21,7 @@ from triform.control.detection import (
     ray_directions,
     require_noise,
 )
+from triform.control.last_step import LastStep
 from triform.control.triangulating import TriangulatingLaw
 from triform.control.triangulating_kernels import law_workspace, triangulate
 from triform.geometry.gabriel import gabriel_into
@@ -63,7 +64,7 @@ class _Seen(NamedTuple):
 
     Attributes:
         ranges: Ranges of their scans [m], shape (M, R).
-        active: Robots that exist, shape (M,).
+        asked: Robots that need a command, shape (M,).
         odometry: Their poses now in their body frames at the moments of their scans [m, m, rad], shape (M, 3).
         footprint: Outline of all robots; ``UNKNOWN_BODY`` to estimate it.
         noise: Standard deviation of the ranges [m].
@@ -73,7 +74,7 @@ class _Seen(NamedTuple):
     """
 
     ranges: Any
-    active: Any
+    asked: Any
     odometry: Any
     footprint: Body
     noise: float
@@ -94,11 +95,10 @@ def _detect(seen, m, centres):
 
 @kernel
 def _command_robots(seen, distance, gain, max_speed, out, first, last):
-    """Write the body twists (M, 3) of the robots ``first <= m < last`` by Eq. 8 from what they have ``_Seen``."""
+    """Write the body twists (M, 3) of the robots ``first <= m < last`` that need one by Eq. 8 from what they see."""
     centres = np.empty((most_robots(seen.ranges.shape[1]), 2))
     for m in range(first, last):
-        out[m] = 0.0
-        if seen.active[m]:
+        if seen.asked[m]:
             count = _detect(seen, m, centres)
             _spring_command(centres, count, distance, gain, max_speed, out[m])
 
@@ -129,8 +129,7 @@ def _triangulate_robots(seen, distance, law, max_speed, noise, out, first, last)
     centres = np.empty((points, 2))
     workspace = law_workspace(points)
     for m in range(first, last):
-        out[m] = 0.0
-        if seen.active[m]:
+        if seen.asked[m]:
             count = _detect(seen, m, centres)
             _triangulating_command(centres, count, distance, law, max_speed, noise[m], workspace, out[m])
 
@@ -200,6 +199,14 @@ class ScanPipeline:
         self._noise = float(noise)
         self._springs = (float(distance), float(gain), float(max_speed))
         self._law = law
+        self._last = LastStep()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the last step."""
+        return self.__dict__ | {"_last": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ |= state | {"_last": LastStep()}
 
     @property
     def description(self) -> dict[str, Any]:
@@ -221,8 +228,8 @@ class ScanPipeline:
         ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
         active = view.active.reshape(-1)
         odometry, noise = _rows(view.odometry, len(ranges), 3), _rows(view.noise, len(ranges), 2)
-        sight = (ranges, active, odometry, self._footprint, self._noise, ray_directions(scan), scan.config.angle_min)
-        out = np.empty((len(ranges), 3))
+        asked, out = self._last.compare(scan, np.concatenate([odometry, noise], axis=1), active, 3)
+        sight = (ranges, asked, odometry, self._footprint, self._noise, ray_directions(scan), scan.config.angle_min)
         distance, gain, max_speed = self._springs
         law = self._law
 
@@ -235,4 +242,5 @@ class ScanPipeline:
                 _triangulate_robots(seen, distance, law.constants, max_speed, noise, out, first, last)
 
         in_parts(steer, len(ranges), len(ranges), SCANS_PER_THREAD)
-        return out.reshape(*view.active.shape, 3)
+        self._last.keep()
+        return np.where(active[:, None], out, 0.0).reshape(*view.active.shape, 3)

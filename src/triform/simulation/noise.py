@@ -19,7 +19,9 @@ from triform.types import NOISE_PERIOD, FloatArray
 #: Speed of a base from which exploration noise has its full size [m/s].
 _FULL_NOISE_SPEED = 0.5
 #: Share of its full size that exploration noise has for differential bases.
-_ROLLING_NOISE = 0.7
+_ROLLING_NOISE = 0.85
+#: How long such a base holds it, beside the time of its longest turn [s].
+_ROLLING_PERIOD = 1.5
 #: Moments closer than this are the same moment [s].
 _SAME_TIME = 1e-9
 
@@ -62,7 +64,7 @@ def noise_scale(drive: Drive) -> float:
 
 
 def noise_period(drive: Drive, pace: float = 1.0) -> float:
-    """How long a robot holds its noise [s]: ``NOISE_PERIOD``, longer for slow bases, and after the longest turn to it.
+    """How long a robot holds its noise [s]: ``NOISE_PERIOD``, longer for slow bases and for those that must turn to it.
 
     Args:
         drive: Its base.
@@ -72,7 +74,7 @@ def noise_period(drive: Drive, pace: float = 1.0) -> float:
     wheels = drive.wheels
     if wheels is None:
         return NOISE_PERIOD / (_speed_share(drive) * pace)
-    return (NOISE_PERIOD + (0.5 if wheels.reverses else 1.0) * math.pi / wheels.max_turn_rate) / pace
+    return (_ROLLING_PERIOD + (0.5 if wheels.reverses else 1.0) * math.pi / wheels.max_turn_rate) / pace
 
 
 def _speed_share(drive: Drive) -> float:
