@@ -261,11 +261,11 @@ def test_animation_has_the_promised_speed(robots, tmp_path, scene):
 
 def test_a_video_plays_everywhere_and_as_long_as_the_gif(tmp_path, scene):
     av = pytest.importorskip("av")
-    gif, video = film(still([hexagon()]), scene, tmp_path / "run.gif", video=tmp_path / "run.mp4", speed=4.0)
+    gif, video = film(still([hexagon()]), scene, tmp_path / "run.gif", video=tmp_path / "run.mp4", speed=20.0)
     with av.open(video) as container:
         (stream,) = container.streams
         assert (stream.codec_context.name, stream.pix_fmt) == ("h264", "yuv420p")
-        assert float(stream.duration * stream.time_base) == pytest.approx(4.0, abs=0.1)
+        assert float(stream.duration * stream.time_base) == pytest.approx(2.4, abs=0.1)
         last = list(container.decode(stream))[-1].to_ndarray(format="rgb24").astype(float)
     with Image.open(gif) as image:
         image.seek(image.n_frames - 1)
@@ -284,7 +284,7 @@ def test_a_place_that_cannot_be_written_is_named_and_nothing_stays_open(tmp_path
     trajectory = still([hexagon()])
     for write in (
         lambda path: save_figure(run_figure(trajectory, scene, ""), path),
-        lambda path: film(trajectory, scene, path),
+        lambda path: film(trajectory, scene, path, speed=40.0),
     ):
         with pytest.raises(TriformError, match="cannot write"):
             write(tmp_path / "missing" / "x.png")

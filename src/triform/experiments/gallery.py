@@ -18,7 +18,7 @@ from triform.evaluation.scenario import Scenario
 from triform.experiments.demo import DemoConfig, DemoRun, drive_team
 from triform.experiments.evaluate import EvaluateConfig, run_evaluate
 from triform.experiments.reproduce import ReproduceConfig, What, run_reproduce
-from triform.figures.film import palette_of
+from triform.figures.film import in_palette, palette_of
 from triform.files import write_atomically
 from triform.limits import check_threads
 from triform.recordings.measure import MeasureConfig, run_measure
@@ -109,9 +109,7 @@ def shrink(picture: Path) -> bytes:
     if image.width > _WIDTH:
         image = image.resize((_WIDTH, round(image.height * _WIDTH / image.width)), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(palette_of(image, _COLOURS).tobytes())
-    few = image.quantize(palette=palette, dither=Image.Dither.NONE)
+    few = in_palette(image, palette_of(image, _COLOURS))
     few.save(buffer, format="PNG", optimize=True)
     return buffer.getvalue()
 

@@ -12,6 +12,7 @@ from PIL import Image
 
 from triform.figures.style import HELD, INK, SERIES, Colours, rgb
 from triform.files import write_atomically
+from triform.types import IntArray
 
 #: How long a frame is shown, and the last one [ms]; a GIF counts in units of 10 ms.
 FRAME_MS, LAST_FRAME_MS = 50, 2000
@@ -62,10 +63,28 @@ def write_film(frames: Iterable[Colours], samples: Sequence[Colours], gif: Path,
 
 def palette_of(image: Image.Image, colours: int) -> Colours:
     """Return a palette of at most so many colours for an image; those of the style keep theirs, shape (K, 3)."""
-    own = np.array([rgb(colour) for colour in (*SERIES, INK, HELD)])
+    own = np.array([rgb(colour) for colour in ("#ffffff", *SERIES, INK, HELD)])
     few = image.quantize(colours - len(own), Image.Quantize.MEDIANCUT, kmeans=1, dither=Image.Dither.NONE)
     found = np.array(few.getpalette(), dtype=np.uint8).reshape(-1, 3)
     return np.concatenate([own, found[: colours - len(own)]])
+
+
+def in_palette(image: Image.Image, palette: Colours) -> Image.Image:
+    """Return an image with every pixel in the nearest colour of a palette (K, 3)."""
+    pixels = np.asarray(image.convert("RGB")).reshape(-1, 3)
+    colours, which = np.unique(pixels @ np.array([1 << 16, 1 << 8, 1]), return_inverse=True)
+    given = np.stack([colours >> 16, (colours >> 8) & 255, colours & 255], axis=1)
+    nearest = _nearest(given, palette)[which]
+    found = Image.fromarray(nearest.reshape(image.height, image.width), mode="P")
+    found.putpalette(palette.tobytes())
+    return found
+
+
+def _nearest(colours: IntArray, palette: Colours) -> Colours:
+    """Return which colour of a palette (K, 3) is nearest to each of others (M, 3), shape (M,)."""
+    # The square of the distance, less that of the colour alone.
+    away = (palette.astype(np.float64) ** 2).sum(axis=1) - 2.0 * (colours @ palette.T.astype(np.float64))
+    return np.asarray(away.argmin(axis=1), dtype=np.uint8)
 
 
 class _Gif:
@@ -78,9 +97,7 @@ class _Gif:
         self._palette = palette.tobytes()
         levels = (np.arange(1 << _BITS) * 255 + 15) // ((1 << _BITS) - 1)
         cells = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
-        # The square of the distance, less that of the cell alone.
-        away = (found.astype(np.float64) ** 2).sum(axis=1) - 2.0 * (cells @ found.T.astype(np.float64))
-        self._table = away.argmin(axis=1).astype(np.uint8)
+        self._table = _nearest(cells, found)
         self._frames: list[Image.Image] = []
 
     def add(self, frame: Colours) -> None:
