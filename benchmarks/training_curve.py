@@ -12,6 +12,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
+from triform.figures.style import figure_style, save_figure
+
 
 def scalars(run: Path, name: str) -> tuple[list[int], list[float]]:
     """Maps seen and values of a scalar in a run's log."""
@@ -22,24 +24,24 @@ def scalars(run: Path, name: str) -> tuple[list[int], list[float]]:
 
 def draw(runs: list[Path]) -> Figure:
     """Both curves of every run over the maps it has seen."""
-    figure, panels = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
     names = (
         ("loss", "command loss (mean square for paper)"),
         ("error_mean", "mean error of a command, held out [m/s]"),
     )
-    for panel, (name, label) in zip(panels, names, strict=True):
-        for run in runs:
-            panel.plot(*scalars(run, name), label=run.name, marker="." if name == "error_mean" else "")
-        panel.set(xscale="log", yscale="log", xlabel="maps seen", ylabel=label)
-        panel.grid(alpha=0.3)
-        panel.legend(frameon=False)
+    with figure_style():
+        figure, panels = plt.subplots(1, 2, figsize=(10, 4))
+        for panel, (name, label) in zip(panels, names, strict=True):
+            for run in runs:
+                panel.plot(*scalars(run, name), label=run.name, marker="." if name == "error_mean" else "")
+            panel.set(xscale="log", yscale="log", xlabel="maps seen", ylabel=label)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(runs))
     return figure
 
 
 def main() -> None:
     """Read the arguments and write the picture."""
     picture, *runs = (Path(argument) for argument in sys.argv[1:])
-    draw(runs).savefig(picture, dpi=150)
+    save_figure(draw(runs), picture)
 
 
 if __name__ == "__main__":

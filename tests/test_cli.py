@@ -330,7 +330,7 @@ def test_a_result_never_replaces_a_device(capsys: pytest.CaptureFixture[str], tm
     assert device.is_symlink()
 
 
-@pytest.mark.parametrize("command", ["compare", "conditions", "ablate", "reproduce", "demo"])
+@pytest.mark.parametrize("command", ["compare", "conditions", "ablate", "reproduce", "demo", "gallery"])
 def test_a_folder_has_one_writer(command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     with exclusive(tmp_path):
         assert main([command, "--output", str(tmp_path)]) == 1

@@ -36,6 +36,7 @@ _EXTRAS = {
     "google": ("mcap", "protobuf"),
     "rosbags": ("mcap", "rosbags"),
     "viser": ("view", "viser"),
+    "av": ("video", "PyAV"),
 }
 
 
@@ -72,6 +73,7 @@ class Command:
 _TABLE = (
     ("look", "demo", "run one team and draw it", "--robots 9", "experiments.demo"),
     ("look", "view", "watch a team in the browser, and reach into it", "--robots 9"),
+    ("look", "gallery", "draw a page of pictures, each with its command", "--output gallery", "experiments.gallery"),
     ("look", "show", "list profiles, arenas, controllers, policies; print one as TOML", "profile hardware"),
     (
         "measure", "evaluate", "measure a controller on many starts", "--robots 5 9 --runs 100 --json out.json",

@@ -52,7 +52,7 @@ def team(worlds=3, robots=5):
 
 def test_all_files_are_written(folder):
     assert {path.name for path in folder.iterdir()} == {
-        "ablation.json", "ablation.parquet", "ablation.png", "ablation.md", "ablation.html",
+        "ablation.json", "ablation.parquet", "ablation.png", "ablation.pdf", "ablation.md", "ablation.html",
     }  # fmt: skip
     page = (folder / "ablation.md").read_text()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:1] == "|"]

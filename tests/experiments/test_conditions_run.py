@@ -48,7 +48,8 @@ def summaries(folder):
 def test_all_files_are_written(folder):
     names = {path.name for path in folder.iterdir()}
     assert names == {
-        "conditions.json", "conditions.parquet", "conditions.md", "conditions.html", "conditions.png", "failures.png",
+        "conditions.json", "conditions.parquet", "conditions.md", "conditions.html", "conditions.png",
+        "conditions.pdf", "failures.png", "failures.pdf",
     }  # fmt: skip
     page = (folder / "conditions.md").read_text()
     for heading in ("## All conditions", "## Latency", "## Event", "## Failed runs"):

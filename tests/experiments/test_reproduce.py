@@ -42,14 +42,15 @@ def test_all_results_are_written_and_tied_together(tmp_path, listener):
         "index.md", "index.html", "table1.json", "table1.parquet",
         "fig2.json", "fig2.parquet", "fig2.png", "fig3.json", "fig3.parquet", "fig3.png",
         "fig4.json", "fig4.parquet", "fig4.png", "fig5.json", "fig5.parquet", "fig5.png", "fig9.json", "fig9.parquet",
-        "fig9.png",
+        "fig9.png", *(f"fig{number}.pdf" for number in (2, 3, 4, 5, 9)),
     }  # fmt: skip
     markdown = pages[0].read_text()
     titles = re.findall(r"^## ([^:\n]*)", markdown, re.MULTILINE)
     assert titles == ["Table I", "Fig. 2", "Fig. 3", "Fig. 4", "Fig. 5", "Fig. 9"]
     assert "| 5 | 100 % |" in markdown
     linked = set(re.findall(r"\]\(([^)]+)\)", markdown))
-    assert linked == names - {"index.md", "index.html"}
+    # Vector drawings are for papers.
+    assert linked == {name for name in names if not name.startswith("index") and not name.endswith(".pdf")}
     page = pages[1].read_text()
     assert len(re.findall(r'src="data:image/png;base64,', page)) == 5
     assert "within 6 s and stays there" in page
@@ -176,16 +177,18 @@ def test_a_bad_folder_is_refused_before_anything_runs(tmp_path, listener):
 def test_demo_prints_measures_and_the_paths_it_wrote(tmp_path, listener):
     config = options(DemoConfig, controller="expert-sensed", robots=4, duration=6.0, output=tmp_path)
     paths = run_demo(config, listener)
+    video = ["demo.mp4"] if importlib.util.find_spec("av") else []
     page = ["demo.html"] if importlib.util.find_spec("viser") else []
-    assert [path.name for path in paths] == ["demo.png", "demo.gif", "demo.json", *page, "run.parquet"]
+    drawings = ["demo.png", "demo.pdf", "sight.png", "sight.pdf", "demo.gif"]
+    assert [path.name for path in paths] == [*drawings, *video, "demo.json", *page, "run.parquet"]
     shown = listener.console.file.getvalue()
     for path in paths:
         assert path.exists()
         assert str(path) in shown
     assert "success" in shown
-    with Image.open(paths[1]) as image:
+    with Image.open(tmp_path / "demo.gif") as image:
         assert image.n_frames > 5
-    assert json.loads(paths[2].read_text())["results"][0]["robots"] == 4
+    assert json.loads((tmp_path / "demo.json").read_text())["results"][0]["robots"] == 4
 
 
 def test_demo_shows_any_run_of_an_evaluation(tmp_path, listener):

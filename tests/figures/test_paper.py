@@ -19,7 +19,8 @@ from triform.figures.paper import figure_2, figure_9, snapshot_records
 from triform.figures.style import save_figure
 
 
-def assert_picture(path):
+def assert_picture(paths):
+    path, _ = paths
     with Image.open(path) as image:
         assert np.asarray(image.convert("L")).std() > 5
 

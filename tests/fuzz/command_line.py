@@ -34,6 +34,7 @@ import numpy as np
 #: How a call of each command begins, so that its work is small.
 SMALL = {
     "demo": "--robots 3 --duration 5 --controller expert",
+    "gallery": "--threads 1",
     "show": "",
     "view": "--html page.html --robots 3 --duration 5 --controller expert",
     "evaluate": "--robots 3 --runs 1 --duration 5 --controller expert --threads 1",
@@ -50,7 +51,7 @@ SMALL = {
     "bench": "--seconds 0.1",
 }
 #: Commands that work until they are interrupted, or for minutes whatever their options are.
-LONG = ("train", "drive", "emulate", "bench")
+LONG = ("gallery", "train", "drive", "emulate", "bench")
 #: How often each command is called; those that load much or start processes are called less often.
 _WEIGHTS = dict.fromkeys(SMALL, 1.0) | dict.fromkeys(("train", "bench", "reproduce", "compare", "conditions"), 0.3)
 

@@ -54,7 +54,7 @@ def test_files_hold_the_form_of_an_evaluation_and_every_run(tmp_path, listener, 
     frame = pd.read_parquet(tmp_path / "deep" / "out.parquet").set_index("run").sort_index()
     assert frame.recording.tolist() == [f"{teams[0]}, run 0", f"{teams[0]}, run 1", str(teams[1])]
     assert frame.robots.tolist() == [7, 7, 2]
-    for name in ("fig7.png", "fig8.png", "fig9.png"):
+    for name in ("fig7.png", "fig8.png", "fig9.png", "sheet.png"):
         with Image.open(tmp_path / "figures" / name) as image:
             assert np.asarray(image.convert("L")).std() > 5
     assert "fig9.png" in listener.console.file.getvalue()

@@ -161,9 +161,8 @@ def run_reproduce(config: ReproduceConfig, listener: Listener = SILENT) -> list[
             pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
             headings, rows = drop_columns(section.headings, section.rows, WIDE)
             listener.table(section.title, headings, rows, legend(headings))
-            for name in [section.image, *section.files]:
-                if name:
-                    listener.say(f"wrote {config.output / name}")
+            for name in [*section.drawings, *section.files]:
+                listener.say(f"wrote {config.output / name}")
     for page in pages:
         listener.say(f"wrote {page}")
     return pages
@@ -242,7 +241,7 @@ class _Reproduction:
         """Teams of two sizes at several moments."""
         text = (
             f"The first start of each team size with seed {self.config.seed}, not selected by outcome. Every robot is "
-            "its footprint with a white line to the front, and the thin line is its way so far. Black edges are the "
+            "its footprint with a white line to the front, and the thin line is its way so far. Edges are the "
             f"Gabriel graph, dashed where longer than robots can sense. {LEGEND}"
         )
         return self._first_runs("Fig. 2: teams over time", text, SNAPSHOT_SIZES, figure_2)

@@ -15,11 +15,10 @@ from matplotlib.lines import Line2D
 
 from triform.evaluation.rollout import Trajectory
 from triform.figures.runs import Scene, draw_trajectories
-from triform.figures.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, VERMILLION, figure_style
+from triform.figures.style import BLUE, GREY, INK, SERIES, figure_style, graph_legend
 from triform.types import FloatArray
 
 _COLUMNS = 4
-_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, GREY)
 #: Labels longer than this stand on a slope.
 _LONG_LABEL = 4
 
@@ -51,7 +50,7 @@ def conditions_figure(summaries: Sequence[dict[str, Any]], headings: Mapping[str
     found = {summary["condition"] for summary in summaries}
     shown = [condition for condition in headings if condition in found]
     sizes = sorted({summary["robots"] for summary in summaries if summary["condition"] != "team-size"})
-    colours = {size: _COLOURS[index % len(_COLOURS)] for index, size in enumerate(sizes)}
+    colours = {size: SERIES[index % len(SERIES)] for index, size in enumerate(sizes)}
     columns = min(_COLUMNS, len(shown))
     rows = math.ceil(len(shown) / columns)
     with figure_style():
@@ -128,12 +127,13 @@ def failures_figure(runs: Sequence[FailedRun]) -> Figure:
     columns = min(_COLUMNS, len(runs))
     rows = math.ceil(len(runs) / columns)
     with figure_style():
-        figure, panels = plt.subplots(rows, columns, figsize=(3.3 * columns, 3.4 * rows), squeeze=False)
+        figure, panels = plt.subplots(rows, columns, figsize=(3.3 * columns, 3.4 * rows + 0.35), squeeze=False)
         for axes, run in zip(panels.flat, runs, strict=False):
             draw_trajectories(axes, run.trajectory, run.scene)
             axes.set_title(run.title, loc="left", fontsize=8)
         for axes in panels.flat[len(runs) :]:
             axes.set_axis_off()
+        graph_legend(figure)
     return figure
 
 

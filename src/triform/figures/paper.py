@@ -14,7 +14,18 @@ from triform.evaluation import paper
 from triform.evaluation.metrics import TOLERANCE, RunTable, select
 from triform.evaluation.rollout import Trajectory
 from triform.figures.runs import Scene, draw_boxes, draw_formation, present
-from triform.figures.style import BLUE, GREY, INK, VERMILLION, bounds, draw_arena, figure_style, frame, robot_colours
+from triform.figures.style import (
+    BLUE,
+    GREY,
+    INK,
+    VERMILLION,
+    bounds,
+    draw_arena,
+    figure_style,
+    frame,
+    graph_legend,
+    robot_colours,
+)
 from triform.types import FloatArray
 
 #: When the team is shown [s], as far as the run lasts, and at its end.
@@ -39,7 +50,7 @@ def figure_2(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
     rows, columns = len(trajectories), len(records)
     half_side = max(bounds(trajectory.positions, scene.arena)[1] for trajectory in trajectories)
     with figure_style():
-        figure, panels = plt.subplots(rows, columns, figsize=(2.35 * columns, 2.65 * rows), squeeze=False)
+        figure, panels = plt.subplots(rows, columns, figsize=(2.35 * columns, 2.7 * rows + 0.35), squeeze=False)
         for row, trajectory in enumerate(trajectories):
             for column, record in enumerate(records):
                 axes = panels[row, column]
@@ -49,6 +60,7 @@ def figure_2(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
                 axes.set_xlabel("x [m]" if row == rows - 1 else "")
                 axes.set_ylabel(f"{len(present(trajectory, record))} robots\ny [m]" if column == 0 else "")
                 axes.tick_params(labelleft=column == 0)
+        graph_legend(figure)
     return figure
 
 

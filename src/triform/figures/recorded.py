@@ -16,7 +16,16 @@ from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory
 from triform.figures.paper import figure_9
 from triform.figures.runs import Scene, draw_distances, draw_error, draw_trajectories, present
-from triform.figures.style import bounds, figure_style, footprint_outlines, heading_marks, robot_colours, save_figure
+from triform.figures.sheet import contact_sheet
+from triform.figures.style import (
+    bounds,
+    figure_style,
+    footprint_outlines,
+    graph_legend,
+    heading_marks,
+    robot_colours,
+    save_figure,
+)
 
 #: Fig. 7 and 8 show the first 8 runs, 4 side by side.
 SHOWN, _COLUMNS = 8, 4
@@ -37,11 +46,9 @@ def draw_recorded(
         The files written.
     """
     shown = trajectories[:SHOWN], scenes[:SHOWN]
-    return [
-        save_figure(figure_7(*shown), folder / "fig7.png"),
-        save_figure(figure_8(*shown), folder / "fig8.png"),
-        save_figure(figure_9(runs, "recorded"), folder / "fig9.png"),
-    ]
+    figures = {"fig7": figure_7(*shown), "fig8": figure_8(*shown), "fig9": figure_9(runs, "recorded")}
+    figures["sheet"] = contact_sheet(trajectories, scenes, runs)
+    return [path for name, figure in figures.items() for path in save_figure(figure, folder / f"{name}.png")]
 
 
 def figure_7(trajectories: Sequence[Trajectory], scenes: Sequence[Scene]) -> Figure:
@@ -56,6 +63,7 @@ def figure_7(trajectories: Sequence[Trajectory], scenes: Sequence[Scene]) -> Fig
             _draw_first_poses(axes, trajectory, scene)
             axes.set_title(_title(index, trajectory), loc="left")
             axes.set_ylabel("y [m]" if index % _COLUMNS == 0 else "")
+        graph_legend(figure)
     return figure
 
 
@@ -72,7 +80,8 @@ def figure_8(trajectories: Sequence[Trajectory], scenes: Sequence[Scene]) -> Fig
             if index % _COLUMNS > 0:
                 upper.set_ylabel("")
                 lower.set_ylabel("")
-        lowers[0].legend(loc="upper right")
+        handles, labels = lowers[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
         for row in (uppers, lowers):
             top = max(axes.get_ylim()[1] for axes in row)
             for axes in row:
@@ -85,7 +94,7 @@ def _panels(count: int, height: float, parts: int = 1) -> tuple[Figure, list[lis
     columns = min(count, _COLUMNS)
     blocks = -(-count // columns)
     figure, grid = plt.subplots(
-        parts * blocks, columns, figsize=(max(5.0, 3.0 * columns), height * parts * blocks), squeeze=False
+        parts * blocks, columns, figsize=(max(5.0, 3.0 * columns), height * parts * blocks + 0.35), squeeze=False
     )
     by_part: list[list[Axes]] = [list(grid[part::parts].flat) for part in range(parts)]
     for unused in [axes for panels in by_part for axes in panels[count:]]:

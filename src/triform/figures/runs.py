@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from triform.evaluation import paper
+from triform.evaluation.events import Event
 from triform.evaluation.metrics import TOLERANCE, RunTable, select, trailing_mean
 from triform.evaluation.rollout import Trajectory
 from triform.evaluation.statistics import wilson_interval
@@ -24,12 +25,14 @@ from triform.figures.style import (
     INK,
     ORANGE,
     VERMILLION,
+    GraphDrawing,
     bounds,
     draw_arena,
-    draw_edges,
     draw_robots,
     figure_style,
     frame,
+    graph_legend,
+    legend_above,
     robot_colours,
 )
 from triform.geometry import edge_error, gabriel_graph
@@ -45,11 +48,13 @@ class Scene:
         footprint: Outline of all robots, or of each.
         arena: Walls and pillars.
         distance: Prescribed neighbour distance d* [m].
+        event: What happens during the run.
     """
 
     footprint: Footprint | tuple[Footprint, ...]
     arena: Arena
     distance: float = 1.0
+    event: Event | None = None
 
     @property
     def sensing_range(self) -> float:
@@ -69,12 +74,15 @@ def present(trajectory: Trajectory, record: int) -> IntArray:
 
 def draw_formation(axes: Axes, poses: FloatArray, robots: IntArray, scene: Scene, colours: Sequence[Any]) -> None:
     """Draw ``robots`` (M,) at ``poses`` (M, 3) with their Gabriel graph; edges out of sensing range are dashed."""
-    positions = poses[:, :2]
-    full = gabriel_graph(positions)
-    sensed = gabriel_graph(positions, scene.sensing_range)
-    draw_edges(axes, positions, sensed)
-    draw_edges(axes, positions, full & ~sensed, colors=GREY, linestyles=(0, (3, 3)))
+    positions = np.ascontiguousarray(poses[:, :2])
+    GraphDrawing(axes, scene.distance).show(positions, gabriel_graph(positions))
     draw_robots(axes, poses, scene.footprints(robots), colours)
+
+
+def draw_event(axes: Axes, scene: Scene) -> None:
+    """Mark on an axis of time when something happens to the team."""
+    if scene.event is not None and scene.event.interrupts:
+        axes.axvline(scene.event.time, color=VERMILLION, linewidth=1.1, linestyle=(0, (4, 2)), label=scene.event.kind)
 
 
 def draw_trajectories(axes: Axes, trajectory: Trajectory, scene: Scene, half_side: float | None = None) -> None:
@@ -121,6 +129,7 @@ def draw_distances(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
         )
     axes.set_xlim(trajectory.time[0], trajectory.time[-1])
     axes.set_ylim(0, max(2.0 * scene.distance, 1.05 * np.nanmax(lengths, initial=0.0)))
+    draw_event(axes, scene)
     axes.set_xlabel("time [s]")
     axes.set_ylabel("distance [m]")
 
@@ -132,6 +141,7 @@ def draw_error(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
     axes.axhspan(0, 100 * TOLERANCE, color=GREEN, alpha=0.12, linewidth=0)
     axes.plot(time, 100 * error, color=BLUE, label="now")
     axes.plot(time, 100 * trailing_mean(error, time), color=ORANGE, label="mean of 5 s")
+    draw_event(axes, scene)
     axes.set_xlim(time[0], time[-1])
     axes.set_ylim(0, 105 * max(2 * TOLERANCE, np.nanmax(error, initial=0.0)))
     axes.set_xlabel("time [s]")
@@ -141,7 +151,7 @@ def draw_error(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
 def run_figure(trajectory: Trajectory, scene: Scene, title: str) -> Figure:
     """Draw one run: trajectories on the left, distances and formation error over time on the right."""
     with figure_style():
-        figure = plt.figure(figsize=(9.2, 4.9))
+        figure = plt.figure(figsize=(9.2, 5.1))
         grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1))
         draw_trajectories(figure.add_subplot(grid[:, 0]), trajectory, scene)
         upper = figure.add_subplot(grid[0, 1])
@@ -150,8 +160,8 @@ def run_figure(trajectory: Trajectory, scene: Scene, title: str) -> Figure:
         upper.set_xlabel("")
         lower = figure.add_subplot(grid[1, 1])
         draw_error(lower, trajectory, scene)
-        lower.set_title("formation error", loc="left")
-        lower.legend(loc="upper right")
+        legend_above(lower)
+        graph_legend(figure)
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5)
     return figure
 
@@ -160,7 +170,7 @@ def figure_3(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
     """Draw runs of growing teams side by side: distances above, trajectories with the final graph below."""
     with figure_style():
         columns = len(trajectories)
-        figure, axes = plt.subplots(2, columns, figsize=(2.75 * columns, 5.3), squeeze=False)
+        figure, axes = plt.subplots(2, columns, figsize=(2.75 * columns, 5.7), squeeze=False)
         half_side = max(bounds(trajectory.positions, scene.arena)[1] for trajectory in trajectories)
         for column, trajectory in enumerate(trajectories):
             upper, lower = axes[:, column]
@@ -173,6 +183,7 @@ def figure_3(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
         top = max(panel.get_ylim()[1] for panel in axes[0])
         for panel in axes[0]:
             panel.set_ylim(0, top)
+        graph_legend(figure)
     return figure
 
 
@@ -219,10 +230,11 @@ class TeamChange:
 def figure_5(changes: Sequence[TeamChange], scene: Scene) -> Figure:
     """Draw snapshots and the error history of runs in which a robot came or went, one row per run."""
     with figure_style():
-        figure = plt.figure(figsize=(14.2, 2.75 * len(changes)))
+        figure = plt.figure(figsize=(14.2, 2.75 * len(changes) + 0.35))
         grid = figure.add_gridspec(len(changes), 6, width_ratios=(1, 1, 1, 1, 1, 1.65))
         for row, change in enumerate(changes):
             _draw_change(figure, grid, row, change, scene)
+        graph_legend(figure)
     return figure
 
 
@@ -249,8 +261,7 @@ def _draw_change(figure: Figure, grid: Any, row: int, change: TeamChange, scene:
     history = figure.add_subplot(grid[row, len(moments)])
     draw_error(history, trajectory, scene)
     history.axvline(change.time, color=VERMILLION, linewidth=1.1, label="team changes")
-    history.set_title("formation error", loc="left")
-    history.legend(loc="upper right")
+    legend_above(history)
 
 
 def _draw_snapshot(axes: Axes, change: TeamChange, changed: int, record: int, scene: Scene) -> None:

@@ -1,4 +1,8 @@
-"""How every figure looks: one font, one palette that colour-blind people can tell apart, and robots as they are."""
+"""How every figure and page looks: one font, one palette that colour-blind people can tell apart, robots as they are.
+
+Edges are green at d*, blue where too short, vermillion where too long, and grey beyond 2 d*; triangles whose edges are
+all right are filled green. The viewer draws by the same rules.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +15,18 @@ from typing import Any
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from triform.files import write_atomically
-from triform.geometry import body_to_world
+from triform.geometry import body_to_world, list_triangles
 from triform.simulation import Arena, Footprint
-from triform.types import BoolArray, FloatArray
+from triform.types import SENSING_RANGE, BoolArray, FloatArray, MapArray
 
 mpl.use("Agg")
 
@@ -30,6 +38,21 @@ ORANGE = "#e69f00"
 VERMILLION = "#d55e00"
 GREEN = "#009e73"
 PURPLE = "#cc79a7"
+SKY = "#56b4e9"
+#: Series of a plot, in this order.
+SERIES = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY, GREY)
+#: Colour and opacity of triangles whose edges are all right, and of the others.
+CLOSED, OPEN = (GREEN, 0.25), (GREY, 0.12)
+#: Patches of a map that hold something.
+HELD = "#cfe6f5"
+
+#: Three bytes per colour, shape (..., 3).
+Colours = NDArray[np.uint8]
+
+#: Edges this much off d* have the full colour of too short or too long ones; up to here they have that of d*.
+_OFF, _RIGHT = 0.35, 0.04
+#: Dashes of edges beyond sensing range.
+DASHED = (0, (3, 3))
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -41,6 +64,7 @@ _STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
+    "axes.prop_cycle": cycler(color=SERIES),
     "axes.grid": True,
     "grid.color": "#ececec",
     "grid.linewidth": 0.7,
@@ -54,6 +78,8 @@ _STYLE: Any = {
     "figure.dpi": 100,
     "savefig.dpi": 200,
     "figure.constrained_layout.use": True,
+    # Text of vector drawings stays text.
+    "pdf.fonttype": 42,
 }
 
 
@@ -64,16 +90,79 @@ def figure_style() -> Iterator[None]:
         yield
 
 
-def save_figure(figure: Figure, path: Path) -> Path:
-    """Write ``figure`` to ``path`` atomically, in the format that its name says, and close it."""
-    buffer = io.BytesIO()
+def save_figure(figure: Figure, path: Path) -> list[Path]:
+    """Write ``figure`` atomically as a bitmap, and beside it as vectors for papers, and close it.
+
+    Equal figures give equal bytes: the files hold no date.
+
+    Args:
+        figure: The drawing.
+        path: Name of the bitmap, ``.png``; that of the vector drawing ends in ``.pdf`` instead.
+
+    Returns:
+        The files written, the bitmap first.
+
+    Raises:
+        TriformError: A file cannot be written.
+    """
+    drawn: dict[Path, bytes] = {}
     try:
         with figure_style():
-            figure.savefig(buffer, format=path.suffix.removeprefix("."))
+            for each, said in ((path, {}), (path.with_suffix(".pdf"), {"CreationDate": None})):
+                buffer = io.BytesIO()
+                figure.savefig(buffer, format=each.suffix.removeprefix("."), metadata=said)
+                drawn[each] = buffer.getvalue()
     finally:
         plt.close(figure)
-    write_atomically(path, buffer.getvalue())
-    return path
+    for each, data in drawn.items():
+        write_atomically(each, data)
+    return list(drawn)
+
+
+def legend_above(axes: Axes) -> None:
+    """Put the legend of a panel above it, to the right of its title, where it hides no curve."""
+    handles, _ = axes.get_legend_handles_labels()
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, borderpad=0.0, ncols=len(handles),
+        handlelength=1.4, handletextpad=0.5, columnspacing=1.2,
+    )  # fmt: skip
+
+
+def rgb(colour: Any) -> Colours:
+    """Return a colour, as ``#rrggbb`` or numbers from 0 to 1, as three bytes."""
+    if isinstance(colour, str):
+        return np.array([int(colour[place : place + 2], 16) for place in (1, 3, 5)], dtype=np.uint8)
+    return np.round(255 * np.array(colour[:3])).astype(np.uint8)
+
+
+def edge_colours(lengths: FloatArray, distance: float) -> Colours:
+    """Return the colours of edges by their lengths [m], shape (E, 3).
+
+    Green is d*, blue too short, vermillion too long, and grey longer than the 2 d* that the published method sees.
+    """
+    off = (lengths - distance) / distance
+    share = np.clip((np.abs(off) - _RIGHT) / (_OFF - _RIGHT), 0.0, 1.0)[:, None]
+    far = np.where((off < 0)[:, None], rgb(BLUE), rgb(VERMILLION))
+    colours = (1 - share) * rgb(GREEN) + share * far
+    colours[lengths > SENSING_RANGE * distance] = rgb(GREY)
+    return np.round(colours).astype(np.uint8)
+
+
+def map_colours(occupancy: MapArray, patch: int) -> Colours:
+    """Return the picture of an occupancy map (H, W) with forward up and left left, shape (H, W, 3).
+
+    Cells that hold something are dark, and light blue the patches of ``patch`` x ``patch`` cells that hold any, which
+    are all that a network sees; it has none if ``patch`` is 0.
+    """
+    size = len(occupancy)
+    image = np.full((size, size, 3), 255, dtype=np.uint8)
+    if patch:
+        whole = size // patch * patch
+        blocks = occupancy[:whole, :whole].reshape(whole // patch, patch, whole // patch, patch)
+        held = np.kron(blocks.any(axis=(1, 3)), np.ones((patch, patch), dtype=np.bool_))
+        image[:whole, :whole][held] = rgb(HELD)
+    image[occupancy > 0] = rgb(INK)
+    return image[::-1, ::-1]
 
 
 def robot_colours(robots: int) -> list[Any]:
@@ -103,10 +192,9 @@ def heading_marks(poses: FloatArray, footprints: Sequence[Footprint]) -> list[Fl
     ]
 
 
-def edge_lines(positions: FloatArray, graph: BoolArray) -> list[FloatArray]:
-    """Return the edges of ``graph`` (N, N) over ``positions`` (N, 2), each (2, 2)."""
-    first, second = np.nonzero(np.triu(graph, 1))
-    return [positions[[i, j]] for i, j in zip(first, second, strict=True)]
+def edge_lines(positions: FloatArray, graph: BoolArray) -> FloatArray:
+    """Return the edges of ``graph`` (N, N) over ``positions`` (N, 2), shape (E, 2, 2)."""
+    return positions[np.argwhere(np.triu(graph, 1))]
 
 
 def draw_robots(axes: Axes, poses: FloatArray, footprints: Sequence[Footprint], colours: Sequence[Any]) -> None:
@@ -119,10 +207,54 @@ def draw_robots(axes: Axes, poses: FloatArray, footprints: Sequence[Footprint], 
     axes.add_collection(LineCollection(heading_marks(poses, footprints), colors="white", linewidths=1.1, zorder=5))
 
 
-def draw_edges(axes: Axes, positions: FloatArray, graph: BoolArray, **style: Any) -> None:
-    """Draw the edges of ``graph`` (N, N) over ``positions`` (N, 2)."""
-    options: dict[str, Any] = {"colors": INK, "linewidths": 0.9, "zorder": 3} | style
-    axes.add_collection(LineCollection(edge_lines(positions, graph), **options))
+class GraphDrawing:
+    """Edges and triangles of a graph, coloured by how well they fit d*; drawn once or moved from frame to frame."""
+
+    def __init__(self, axes: Axes, distance: float, width: float = 1.3) -> None:
+        """Add an empty graph.
+
+        Args:
+            axes: Where to draw.
+            distance: Prescribed neighbour distance d* [m].
+            width: Width of edges [pt].
+        """
+        self._distance = distance
+        # Typed as anything because their methods carry no types.
+        self.edges: Any = LineCollection([], linewidths=width, zorder=3)
+        self.far: Any = LineCollection([], linewidths=0.75 * width, linestyles=DASHED, colors=GREY, zorder=3)
+        self.triangles: Any = PolyCollection([], linewidths=0, zorder=1.5)
+        #: The edges.
+        self.lines = (self.edges, self.far)
+        for artist in (self.triangles, *self.lines):
+            axes.add_collection(artist)
+
+    def show(self, positions: FloatArray, graph: BoolArray) -> None:
+        """Draw the edges of ``graph`` (N, N) over ``positions`` (N, 2); those longer than 2 d* dashed."""
+        lines = edge_lines(positions, graph)
+        lengths = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
+        near = lengths <= SENSING_RANGE * self._distance
+        self.edges.set_segments(list(lines[near]))
+        self.edges.set_color(edge_colours(lengths[near], self._distance) / 255)
+        self.far.set_segments(list(lines[~near]))
+        corners, closed = list_triangles(positions, graph, self._distance)
+        self.triangles.set_verts(list(positions[corners]))
+        self.triangles.set_facecolor([mpl.colors.to_rgba(*(CLOSED if each else OPEN)) for each in closed])
+
+
+def edge_entries() -> list[Any]:
+    """Return entries of a legend for the colours of edges and triangles."""
+    edges = ((BLUE, "too short"), (GREEN, "d*"), (VERMILLION, "too long"))
+    return [
+        *(Line2D([], [], color=colour, lw=1.6, label=label) for colour, label in edges),
+        Line2D([], [], color=GREY, lw=1.2, ls=DASHED, label="over 2 d*"),
+        Patch(facecolor=CLOSED[0], alpha=CLOSED[1], label="triangle, edges within 10 %"),
+    ]
+
+
+def graph_legend(figure: Figure) -> None:
+    """Say below a figure what the colours of edges and triangles mean."""
+    entries = edge_entries()
+    figure.legend(handles=entries, loc="outside lower center", ncols=len(entries), handlelength=1.8)
 
 
 def draw_arena(axes: Axes, arena: Arena) -> None:

@@ -2,7 +2,7 @@
 
 from triform.geometry.frames import body_to_world, wrap_angle
 from triform.geometry.gabriel import gabriel_graph, gabriel_into
-from triform.geometry.quality import EDGE_TOLERANCE, Quality, assess, edge_error, smallest_distance
+from triform.geometry.quality import EDGE_TOLERANCE, Quality, assess, edge_error, list_triangles, smallest_distance
 
 __all__ = [
     "EDGE_TOLERANCE",
@@ -12,6 +12,7 @@ __all__ = [
     "edge_error",
     "gabriel_graph",
     "gabriel_into",
+    "list_triangles",
     "smallest_distance",
     "wrap_angle",
 ]

@@ -182,6 +182,27 @@ def edge_error(
     return per_world(partial(_edge_error_worlds, float(distance), float(max_range)), points, mask, np.float64)[0]
 
 
+def list_triangles(positions: FloatArray, graph: BoolArray, distance: float = 1.0) -> tuple[IntArray, BoolArray]:
+    """Return the triangles of one graph, and which of them are closed: all edges within 10 % of ``d*``.
+
+    Args:
+        positions: Positions [m], shape (N, 2).
+        graph: Its edges, shape (N, N).
+        distance: Prescribed neighbour distance d* [m].
+
+    Returns:
+        Triangles as growing indices of robots, shape (K, 3), and flags, shape (K,).
+    """
+    first, second = np.nonzero(np.triu(graph, 1))
+    # A third robot counts once: as the last of its triangle.
+    rows, thirds = np.nonzero(graph[first] & graph[second])
+    last = thirds > second[rows]
+    corners = np.column_stack([first[rows[last]], second[rows[last]], thirds[last]])
+    places = positions[corners]
+    lengths = np.linalg.norm(places - np.roll(places, 1, axis=1), axis=-1)
+    return corners, (np.abs(lengths - distance) < EDGE_TOLERANCE * distance).all(axis=1)
+
+
 def smallest_distance(positions: FloatArray, active: BoolArray | None = None) -> FloatArray:
     """Smallest distance between two robots of every formation [m].
 

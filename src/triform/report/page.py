@@ -44,6 +44,11 @@ class Section:
     image: str
     files: list[str]
 
+    @property
+    def drawings(self) -> list[str]:
+        """Names of its image as a bitmap and as vectors."""
+        return [self.image, str(Path(self.image).with_suffix(".pdf"))] if self.image else []
+
 
 def spell_command(words: list[str], config: Any, never: Collection[str] = ("output",)) -> str:
     """Return a command that runs ``config`` again, wherever its runs are computed.
@@ -98,23 +103,25 @@ def read_sections(folder: Path, keys: list[str]) -> list[Section]:
     return sections
 
 
-def write_pages(folder: Path, title: str, sections: Sequence[Section], name: str = "index") -> list[Path]:
+def write_pages(
+    folder: Path, title: str, sections: Sequence[Section], name: str = "index", introduction: str = ""
+) -> list[Path]:
     """Write ``name``.md and ``name``.html over ``sections`` into ``folder`` and return their paths."""
     return [
-        write_text(folder / f"{name}.md", _markdown(title, sections)),
-        write_text(folder / f"{name}.html", _html(folder, title, sections)),
+        write_text(folder / f"{name}.md", _markdown(title, sections, introduction)),
+        write_text(folder / f"{name}.html", _html(folder, title, sections, introduction)),
     ]
 
 
 def say_written(listener: Listener, folder: Path, sections: Sequence[Section], pages: Sequence[Path]) -> None:
     """Name the files of sections, which share their data, their images and the pages over them."""
-    names = [*sections[0].files, *(section.image for section in sections if section.image)]
+    names = [*sections[0].files, *(name for section in sections for name in section.drawings)]
     for path in [*(folder / name for name in names), *pages]:
         listener.say(f"wrote {path}")
 
 
-def _markdown(title: str, sections: Sequence[Section]) -> str:
-    parts = [f"# {title}\n"]
+def _markdown(title: str, sections: Sequence[Section], introduction: str) -> str:
+    parts = [f"# {title}\n", *([f"{introduction}\n"] if introduction else [])]
     for section in sections:
         parts.append(f"## {section.title}\n\n{section.text}\n")
         if section.image:
@@ -122,7 +129,7 @@ def _markdown(title: str, sections: Sequence[Section]) -> str:
         if section.rows:
             parts.append(markdown_table(section.headings, section.rows))
         files = ", ".join(f"[{name}]({name})" for name in section.files)
-        parts.append(f"Command: `{section.command}`. Data: {files}.\n")
+        parts.append(f"Command: `{section.command}`." + (f" Data: {files}.\n" if files else "\n"))
     return "\n".join(parts)
 
 
@@ -139,18 +146,20 @@ th { border-bottom: 2px solid #1a1a1a; }
 """
 
 
-def _html(folder: Path, title: str, sections: Sequence[Section]) -> str:
-    body = [f"<h1>{html.escape(title)}</h1>"]
+def _html(folder: Path, title: str, sections: Sequence[Section], introduction: str) -> str:
+    body = [f"<h1>{html.escape(title)}</h1>", *([f"<p>{html.escape(introduction)}</p>"] if introduction else [])]
     for section in sections:
         body.append(f"<h2>{html.escape(section.title)}</h2>\n<p>{html.escape(section.text)}</p>")
         if section.image:
             pixels = base64.b64encode((folder / section.image).read_bytes()).decode("ascii")
             alternative = html.escape(section.title, quote=True)
-            body.append(f'<img alt="{alternative}" src="data:image/png;base64,{pixels}">')
+            kind = Path(section.image).suffix.removeprefix(".")
+            body.append(f'<img alt="{alternative}" src="data:image/{kind};base64,{pixels}">')
         if section.rows:
             body.append(_html_table(section))
         files = ", ".join(f'<a href="{name}">{name}</a>' for name in section.files)
-        body.append(f'<p class="note">Command: <code>{html.escape(section.command)}</code>. Data: {files}.</p>')
+        data = f" Data: {files}." if files else ""
+        body.append(f'<p class="note">Command: <code>{html.escape(section.command)}</code>.{data}</p>')
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from triform.geometry import EDGE_TOLERANCE, assess, gabriel_graph, wrap_angle
+from triform.geometry import assess, gabriel_graph, list_triangles, wrap_angle
 from triform.types import BoolArray, FloatArray, IntArray
 
 #: How long the way is that is drawn behind a robot [s].
@@ -51,14 +51,7 @@ class Formation:
         graph = gabriel_graph(positions)
         edges = np.argwhere(np.triu(graph, 1))
         lengths = np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)
-        # A third robot counts once: as the last of its triangle.
-        rows, thirds = np.nonzero(graph[edges[:, 0]] & graph[edges[:, 1]])
-        last = thirds > edges[rows, 1]
-        triangles = np.column_stack([edges[rows[last]], thirds[last]])
-        right = np.zeros(graph.shape, dtype=np.bool_)
-        right[tuple(edges.T)] = np.abs(lengths - distance) < EDGE_TOLERANCE * distance
-        first, second, third = triangles.T
-        closed = right[first, second] & right[second, third] & right[first, third]
+        triangles, closed = list_triangles(positions, graph, distance)
         quality = assess(positions, distance)
         return cls(
             time, robots, own, edges, lengths, triangles, closed, float(quality.edge_error), bool(quality.strict),

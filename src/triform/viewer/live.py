@@ -11,12 +11,12 @@ import viser
 
 from triform.control import CONTROLLERS, shipped_weights
 from triform.control.user import installed_controllers
+from triform.figures.sensing import Sensing
 from triform.policy import read_spec
 from triform.simulation import ARENAS, PROFILES
 from triform.viewer.formation import Picture
 from triform.viewer.page import Page, Stage, floor_point
 from triform.viewer.plots import map_image, sensing_html, text_html
-from triform.viewer.sensing import Sensing
 from triform.viewer.session import Session
 
 _NOBODY = "none"

@@ -9,13 +9,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import viser
 
-from triform.figures.style import BLUE
+from triform.figures.sensing import Sensing
+from triform.figures.style import BLUE, rgb
 from triform.simulation import Arena, Footprint, Profile
 from triform.types import TriformError
 from triform.viewer.formation import Course, Picture
 from triform.viewer.plots import Plots, legend_html, status_html
-from triform.viewer.scene import FIELD_OF_VIEW, Drawing, rgb, view_of
-from triform.viewer.sensing import Sensing
+from triform.viewer.scene import FIELD_OF_VIEW, Drawing, view_of
 from triform.viewer.session import SPEEDS
 
 #: Pictures and numbers per second.

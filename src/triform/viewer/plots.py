@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from viser import uplot
 
 from triform.evaluation.metrics import TOLERANCE
-from triform.figures.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILLION
+from triform.figures.sensing import Sensing
+from triform.figures.style import BLUE, GREEN, GREY, INK, ORANGE, VERMILLION, Colours, map_colours
 from triform.viewer.formation import Course, Formation
-from triform.viewer.scene import Colours, rgb
-from triform.viewer.sensing import Sensing
 
 _HEIGHT = 150
 #: Pixels along a side of a cell of a map.
@@ -116,14 +115,7 @@ def map_image(sensing: Sensing, colour: Colours) -> NDArray[np.uint8]:
     occupancy = sensing.occupancy
     assert occupancy is not None
     size, patch = len(occupancy), sensing.patch
-    image = np.full((size, size, 3), 255, dtype=np.uint8)
-    if patch:
-        whole = size // patch * patch
-        blocks = occupancy[:whole, :whole].reshape(whole // patch, patch, whole // patch, patch)
-        held = np.kron(blocks.any(axis=(1, 3)), np.ones((patch, patch), dtype=np.bool_))
-        image[:whole, :whole][held] = rgb("#cfe6f5")
-    image[occupancy > 0] = rgb(INK)
-    image = np.kron(image[::-1, ::-1], np.ones((_CELL, _CELL, 1), dtype=np.uint8))
+    image = np.kron(map_colours(occupancy, patch), np.ones((_CELL, _CELL, 1), dtype=np.uint8))
     if patch:
         lines = size * _CELL - 1 - np.arange(patch, size, patch) * _CELL
         for place in lines:

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from triform.figures.style import BLUE, GREEN, GREY, INK, VERMILLION, bounds, robot_colours
+from triform.figures.sensing import Sensing
+from triform.figures.style import (
+    CLOSED,
+    INK,
+    OPEN,
+    VERMILLION,
+    Colours,
+    bounds,
+    edge_colours,
+    rgb,
+    robot_colours,
+)
 from triform.geometry import body_to_world
 from triform.simulation import Arena, Footprint, Profile
-from triform.types import SENSING_RANGE, FloatArray
+from triform.types import FloatArray
 from triform.viewer.formation import Formation, Picture
-from triform.viewer.sensing import Sensing
 from triform.viewer.shapes import ROBOT_HEIGHT, Mesh, arena_mesh, body_mesh, heading_mesh, wheels_mesh
 
-Colours = NDArray[np.uint8]
 #: Heights at which flat things are drawn, so that none flickers through another [m].
 _TRIANGLES, _TRAILS, _EDGES, _RING, _HITS = 0.004, 0.008, 0.05, 0.012, 0.1
-#: Edges this much off d* have the full colour of too short or too long ones; up to here they have that of d*.
-_OFF, _RIGHT = 0.35, 0.04
 #: A robot that seems to move farther than this between two records was put elsewhere [m].
 _JUMP = 0.3
 _RING_POINTS = 96
@@ -28,30 +33,10 @@ _RING_POINTS = 96
 _ARROW_TIME = 1.0
 
 
-def rgb(colour: Any) -> Colours:
-    """Return a colour of a figure, as ``#rrggbb`` or numbers from 0 to 1, as three bytes."""
-    if isinstance(colour, str):
-        return np.array([int(colour[place : place + 2], 16) for place in (1, 3, 5)], dtype=np.uint8)
-    return np.round(255 * np.array(colour[:3])).astype(np.uint8)
-
-
 def _linear(colours: Colours) -> Colours:
     """Return colours as viser takes those of lines, points and batches: in linear light, not in sRGB."""
     share = colours / 255.0
     return np.round(255 * np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
-
-
-def edge_colours(lengths: FloatArray, distance: float) -> Colours:
-    """Return the colours of edges by their lengths [m], shape (E, 3).
-
-    Green is d*, blue too short, vermillion too long, and grey longer than the 2 d* that the published method sees.
-    """
-    off = (lengths - distance) / distance
-    share = np.clip((np.abs(off) - _RIGHT) / (_OFF - _RIGHT), 0.0, 1.0)[:, None]
-    far = np.where((off < 0)[:, None], rgb(BLUE), rgb(VERMILLION))
-    colours = (1 - share) * rgb(GREEN) + share * far
-    colours[lengths > SENSING_RANGE * distance] = rgb(GREY)
-    return np.round(colours).astype(np.uint8)
 
 
 class _Lines:
@@ -215,8 +200,8 @@ class Drawing:
             )
         self._trails = _Lines(scene, "/trails", 0.018)
         self._edges = _Lines(scene, "/edges", 0.03)
-        self._closed = _Triangles(scene, "/triangles/closed", GREEN, 0.3)
-        self._open = _Triangles(scene, "/triangles/open", GREY, 0.12)
+        self._closed = _Triangles(scene, "/triangles/closed", *CLOSED)
+        self._open = _Triangles(scene, "/triangles/open", *OPEN)
         self._ring = _Lines(scene, "/picked/reach", 0.015)
         self._arrow = _Lines(scene, "/picked/command", 0.04)
         self._hits: viser.PointCloudHandle | None = None

@@ -13,11 +13,11 @@ import numpy as np
 
 from triform.control import ControllerSpec
 from triform.evaluation.scenario import Scenario
+from triform.figures.sensing import Sensing, least_intensity, sense
 from triform.simulation import Footprint, World, world_seeds
 from triform.threads import limit_threads
 from triform.types import Controller, FloatArray, PrivilegedView, TriformError, convert_fields, require
 from triform.viewer.formation import TRAIL, Course, Formation, Picture, between, course_row, earlier_poses, stacked
-from triform.viewer.sensing import Sensing, sense
 
 #: Plots go back so far [s].
 _MEMORY = 60.0
@@ -197,7 +197,9 @@ class Session:
         view, commands = self._seen
         if not (0 <= robot < view.active.shape[1] and view.active[0, robot]):
             return None
-        return sense(view, commands, robot, self._setup.controller, self._setup.scenario.distance)
+        scenario = self._setup.scenario
+        least = least_intensity(scenario.team, robot, view.active.shape[1])
+        return sense(view, commands, robot, self._setup.controller, scenario.distance, least)
 
     def problem(self) -> str:
         """Return why the team stopped, once; empty if it did not."""
