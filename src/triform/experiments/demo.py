@@ -39,6 +39,7 @@ class DemoConfig:
         output: Folder for the picture, the animation, the measures, the poses and commands that triform measure reads
             and, with the extra view, a page that plays the run.
         mcap: File for what happened in MCAP with Foxglove's schemas, for viewers.
+        scans: Whether what happened says what the robots sensed, too: scans, odometry and exploration noise.
         threads: Threads of the whole command; one for each processor if omitted.
         scenario: Everything else about the run.
     """
@@ -49,6 +50,7 @@ class DemoConfig:
     index: int = 0
     output: Path = Path("demo")
     mcap: Path | None = None
+    scans: bool = False
     threads: int | None = None
     scenario: Scenario = field(default_factory=Scenario)
 
@@ -81,7 +83,8 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     scenario, label = config.scenario, config.controller.label
     # Figures hold the graphs of all records.
     graphs = 2.0 * scenario.steps * config.robots**2
-    require_memory(run_memory(scenario, config.robots) + graphs, f"a run of {config.robots} robots")
+    needed = run_memory(scenario, config.robots, scans=config.scans) + graphs
+    require_memory(needed, f"a run of {config.robots} robots")
     kept = [path for path in (config.output / "run.parquet", config.mcap) if path is not None]
     with own_folder(config.output), keep_runs(*kept) as writer:
         controller = scenario.make_controller(config.controller)
@@ -90,7 +93,7 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
         with limit_threads(config.threads), bar as advance:
             scenario.warm_up(poses, controller)
             began = time.perf_counter()
-            trajectory, table = scenario.run(poses, controller, config.seed, [config.index], advance)
+            trajectory, table = scenario.run(poses, controller, config.seed, [config.index], advance, config.scans)
         took = time.perf_counter() - began
         result = {"robots": config.robots, **summarise(table)}
         headings, rows = summary_rows([result], WIDE)
@@ -103,7 +106,7 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
         scene = Scene(outlines, scenario.surroundings, scenario.distance)
         with listener.progress("drawing", 1):
             figure = run_figure(trajectory, scene, f"{config.robots} robots, controller {label}")
-            settings = flat(config, without=("output", "mcap", "threads")) | describe(scenario, controller)
+            settings = flat(config, without=("output", "mcap", "scans", "threads")) | describe(scenario, controller)
             paths = [
                 save_figure(figure, config.output / "demo.png"),
                 animate(trajectory, scene, config.output / "demo.gif"),

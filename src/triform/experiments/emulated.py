@@ -1,0 +1,200 @@
+"""Emulated robots in one world, each driven by a ``triform drive`` process of its own, in real time."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from triform.evaluation.metrics import RunTable, measure
+from triform.evaluation.rollout import Trajectory
+from triform.recordings.description import LidarTable, RunSetting
+from triform.recordings.kept import open_runs
+from triform.recordings.robots import EmulationLog, with_senses
+from triform.robots.emulate import STEP, EmulateConfig, Emulation, drive_command
+from triform.types import TriformError, printable
+
+#: World steps between two records.
+_STEPS_PER_RECORD = 10
+#: How long processes may take to begin, which compile kernels after an installation, and to end [s].
+_TO_BEGIN, _TO_END = 300.0, 30.0
+
+
+@dataclass(frozen=True)
+class EmulatedRun:
+    """What happened to a team of emulated robots.
+
+    Attributes:
+        trajectory: True poses since all robots drove, and what each controller saw, B = 1.
+        setting: Setting of the run.
+        measures: Its measures, one row.
+    """
+
+    trajectory: Trajectory
+    setting: RunSetting
+    measures: RunTable
+
+
+def own_addresses() -> tuple[str, str]:
+    """Return loopback addresses, of the first base and to drive it from, that other emulations hardly use."""
+    process = os.getpid()
+    network = f"127.{100 + process % 100}.{process // 100 % 250}"
+    return f"{network}.1", f"{network}.101"
+
+
+def run_emulated(
+    config: EmulateConfig, options: Sequence[str], duration: float, on_record: Callable[[float], object] = float
+) -> EmulatedRun:
+    """Drive a team of emulated robots.
+
+    Robots begin to drive as soon as their processes are ready, and the run begins with the last of them.
+
+    Args:
+        config: The robots.
+        options: Further options of every ``triform drive``.
+        duration: How long all robots drive [s].
+        on_record: Called with the time that all robots have driven since it was called last [s].
+
+    Raises:
+        TriformError: The robots cannot be emulated here, or one stops; the processes have ended then.
+    """
+    log, moments = EmulationLog(), []
+    with tempfile.TemporaryDirectory() as name, closing(Emulation(config)) as emulation:
+        folder = Path(name)
+        # The first steps load compiled kernels, which takes longer than any LiDAR is silent.
+        while emulation.time <= config.latency + STEP:
+            emulation.step()
+        with _drives(config, emulation, options, folder) as drives:
+            began: float | None = None
+            patience = time.monotonic() + _TO_BEGIN
+            for _ in _in_real_time(emulation):
+                drives.check()
+                if began is None:
+                    if time.monotonic() > patience:
+                        raise TriformError(f"a robot did not begin to drive within {_TO_BEGIN:g} s")
+                    if not all(base.driven for base in emulation.bases):
+                        continue
+                    began = emulation.time
+                log.add(emulation)
+                moments.append(time.time())
+                if emulation.time - began > duration - STEP / 2:
+                    break
+                on_record(_STEPS_PER_RECORD * STEP)
+            drives.end()
+            patience = time.monotonic() + _TO_END
+            for _ in _in_real_time(emulation):
+                if drives.ended:
+                    break
+                if time.monotonic() > patience:
+                    raise TriformError(f"a robot did not stop within {_TO_END:g} s")
+        kept = [open_runs(drives.kept(robot)) for robot in range(config.robots)]
+        seen = [each.trajectory(0, scans=True) for each in kept if each is not None]
+        lidars: tuple[LidarTable, ...] = () if kept[0] is None else kept[0].description.lidars
+    run = with_senses(log.trajectory, np.array(moments), seen)
+    run = Trajectory(run.time - run.time[0], run.poses, run.active, run.commands, run.senses)
+    setting = RunSetting(config.distance, config.kind.footprint, config.surroundings, lidars=lidars)
+    contacts = log.contacts
+    measures = measure(
+        run,
+        config.distance,
+        min_distance=contacts["min_distance"],
+        collision=contacts["collision"],
+        hit_arena=contacts["hit_arena"],
+    )
+    return EmulatedRun(run, setting, {"run": np.array([config.index]), **measures})
+
+
+def _in_real_time(emulation: Emulation) -> Iterator[None]:
+    """Let the world go on in real time, and yield ten times a second of it."""
+    began = time.monotonic() - emulation.time
+    while True:
+        for _ in range(_STEPS_PER_RECORD):
+            emulation.step()
+            time.sleep(max(0.0, began + emulation.time - time.monotonic()))
+        yield
+
+
+class _Drives:
+    """Processes of ``triform drive``, one for each robot."""
+
+    def __init__(self, folder: Path) -> None:
+        """Begin without a process; they write into a folder."""
+        self._folder = folder
+        self._started: list[subprocess.Popen[bytes]] = []
+
+    def kept(self, robot: int) -> Path:
+        """Return where a robot keeps what it saw."""
+        return self._folder / f"robot-{robot}.parquet"
+
+    @property
+    def ended(self) -> bool:
+        """Whether all have ended."""
+        return all(process.poll() is not None for process in self._started)
+
+    def start(self, words: Sequence[str]) -> None:
+        """Start the process of the next robot with some options.
+
+        Raises:
+            TriformError: It cannot be started.
+        """
+        robot = len(self._started)
+        record = ["--record", str(self._folder / f"robot-{robot}"), "--keep", str(self.kept(robot)), "--scans"]
+        try:
+            with self._said(robot).open("wb") as file:
+                command = [sys.executable, "-m", "triform", "drive", *words, *record]
+                self._started.append(
+                    subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT)
+                )
+        except OSError as error:
+            raise TriformError(f"cannot start triform drive: {error.strerror or error}") from error
+
+    def check(self) -> None:
+        """Find out whether a process has ended that should not.
+
+        Raises:
+            TriformError: One has; the sentence has the last thing that it said.
+        """
+        for robot, process in enumerate(self._started):
+            if process.poll() is not None:
+                text = self._said(robot).read_text(encoding="utf-8", errors="replace").strip()
+                last = text.rpartition("\n")[2].removeprefix("triform: ") or f"exit status {process.returncode}"
+                raise TriformError(f"triform drive of emulated robot {robot} has ended: {printable(last)}")
+
+    def end(self) -> None:
+        """Tell all to stop, and to keep what they saw."""
+        for process in self._started:
+            process.terminate()
+
+    def close(self) -> None:
+        """Make sure that no process is left."""
+        self.end()
+        try:
+            for process in self._started:
+                process.wait(_TO_END)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            for process in self._started:
+                process.kill()
+                process.wait()
+
+    def _said(self, robot: int) -> Path:
+        return self._folder / f"robot-{robot}.txt"
+
+
+@contextmanager
+def _drives(config: EmulateConfig, emulation: Emulation, options: Sequence[str], folder: Path) -> Iterator[_Drives]:
+    """Start a process for each robot, and leave none."""
+    with closing(_Drives(folder)) as drives:
+        for robot in range(config.robots):
+            drives.start([*shlex.split(drive_command(config, emulation, robot))[2:], *options])
+        yield drives
