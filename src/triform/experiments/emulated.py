@@ -15,18 +15,24 @@ from pathlib import Path
 
 import numpy as np
 
+from triform.control import ControllerSpec
+from triform.evaluation import paper
 from triform.evaluation.metrics import RunTable, measure
+from triform.evaluation.overrides import Overrides
 from triform.evaluation.rollout import Trajectory
+from triform.evaluation.scenario import Scenario
 from triform.recordings.description import LidarTable, RunSetting
 from triform.recordings.kept import open_runs
 from triform.recordings.robots import EmulationLog, with_senses
 from triform.robots.emulate import STEP, EmulateConfig, Emulation, drive_command
-from triform.types import TriformError, printable
+from triform.types import TriformError, printable, require
 
 #: World steps between two records.
 _STEPS_PER_RECORD = 10
 #: How long processes may take to begin, which compile kernels after an installation, and to end [s].
 _TO_BEGIN, _TO_END = 300.0, 30.0
+#: A world that is farther behind shows robots nothing for longer than they wait [s].
+_LATEST = 5.0
 
 
 @dataclass(frozen=True)
@@ -44,11 +50,40 @@ class EmulatedRun:
     measures: RunTable
 
 
-def own_addresses() -> tuple[str, str]:
-    """Return loopback addresses, of the first base and to drive it from, that other emulations hardly use."""
+def emulated_teams(scenario: Scenario, seed: int, starts: int) -> list[EmulateConfig]:
+    """Return emulated robots like the paper's real ones, one team for each start.
+
+    They are at loopback addresses that other emulations hardly use.
+
+    Raises:
+        ConfigurationError: They cannot be emulated in this scenario.
+    """
+    require(
+        scenario.simulator == "builtin" and scenario.guard != "orca" and scenario.overrides == Overrides(),
+        "Fig. 7 and 8 show emulated robots of the hardware profile as it is, behind the safety filter or none; leave "
+        "simulator, guard orca and overrides out",
+    )
     process = os.getpid()
     network = f"127.{100 + process % 100}.{process // 100 % 250}"
-    return f"{network}.1", f"{network}.101"
+    return [
+        EmulateConfig(
+            paper.REAL_ROBOTS,
+            seed,
+            index,
+            arena=scenario.arena,
+            distance=scenario.distance,
+            address=f"{network}.1",
+            local_address=f"{network}.101",
+        )
+        for index in range(starts)
+    ]
+
+
+def drive_options(scenario: Scenario, controller: ControllerSpec) -> list[str]:
+    """Return options of every ``triform drive`` of emulated robots."""
+    guard = ["--no-guard"] if scenario.guard == "none" else []
+    # Emulated wheels hurt nobody, so the commands of a busy computer may be late.
+    return ["--controller", controller.label, "--watchdog", "2", *guard]
 
 
 def run_emulated(
@@ -114,12 +149,22 @@ def run_emulated(
 
 
 def _in_real_time(emulation: Emulation) -> Iterator[None]:
-    """Let the world go on in real time, and yield ten times a second of it."""
+    """Let the world go on in real time, and yield ten times a second of it.
+
+    Raises:
+        TriformError: The computer is too slow for that.
+    """
     began = time.monotonic() - emulation.time
     while True:
         for _ in range(_STEPS_PER_RECORD):
             emulation.step()
-            time.sleep(max(0.0, began + emulation.time - time.monotonic()))
+            ahead = began + emulation.time - time.monotonic()
+            if ahead < -_LATEST:
+                raise TriformError(
+                    f"this computer is too slow or too busy to emulate robots in real time: after {emulation.time:.0f} "
+                    f"s the emulated world is {-ahead:.1f} s behind"
+                )
+            time.sleep(max(0.0, ahead))
         yield
 
 

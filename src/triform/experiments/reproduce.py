@@ -1,4 +1,4 @@
-"""The paper's Table I and Fig. 2 to 5 and 9 with our numbers beside its own."""
+"""The paper's Table I and Fig. 2 to 5 and 7 to 9 with our numbers beside its own."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from matplotlib.figure import Figure
 
-from triform.control import ControllerSpec, control_steps
+from triform.control import ControllerSpec, control_steps, weights_folder
 from triform.engines import Engine
 from triform.evaluation import paper
 from triform.evaluation.events import EVENT_TIME, Event, EventKind
@@ -20,12 +20,16 @@ from triform.evaluation.rollout import Trajectory
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.compare import REAL_PROFILE
+from triform.experiments.emulated import EmulatedRun, drive_options, emulated_teams, run_emulated
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.experiments.settings import check_teams, describe, flat, run_memory
+from triform.figures.maps import figure_7_maps
 from triform.figures.paper import figure_2, figure_9
 from triform.figures.runs import Scene, TeamChange, figure_3, figure_4, figure_5
 from triform.figures.style import save_figure
 from triform.limits import require_memory
+from triform.policy import read_spec
+from triform.recordings.kept import keep_runs
 from triform.report.listener import SILENT, Listener
 from triform.report.output import own_folder, write_json
 from triform.report.page import Section, read_sections, spell_command, write_pages
@@ -44,9 +48,17 @@ from triform.report.tables import (
     write_parquet,
 )
 from triform.threads import limit_threads
-from triform.types import SENSING_RANGE, ConfigurationError, Controller, PrivilegedView, convert_fields, require
+from triform.types import (
+    SENSING_RANGE,
+    ConfigurationError,
+    Controller,
+    PrivilegedView,
+    TriformError,
+    convert_fields,
+    require,
+)
 
-What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "all"]
+What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig7", "fig8", "fig9", "all"]
 KEYS = [key for key in get_args(What) if key != "all"]
 SIZES = tuple(paper.SUCCESS)
 #: Looks as far as the paper's robots.
@@ -57,6 +69,8 @@ SNAPSHOT_SIZES = (9, 13)
 _CHANGED, _SHOWN = 7, {"join": 6, "leave": 7}
 #: Fig. 5 shows the first qualifying run of this many.
 _CANDIDATES = 10
+#: Results of emulated robots in real time, and how many starts they show.
+_EMULATED, _STARTS = ("fig7", "fig8"), 2
 #: What the paper calls these events.
 _CHANGES: dict[EventKind, str] = {"join": "addition", "leave": "removal"}
 #: What the paper measured with its real robots, as results name it.
@@ -106,6 +120,8 @@ class ReproduceConfig:
                 control_steps(scenario.duration, self.real_scenario.robot.control_period)
             except ConfigurationError as error:
                 raise ConfigurationError(f"{self.what} also runs the profile {REAL_PROFILE!r}: {error}") from None
+        if self.what in _EMULATED:
+            emulated_teams(self.scenario, self.seed, _STARTS)
 
     @property
     def real_scenario(self) -> Scenario:
@@ -128,6 +144,7 @@ class Result:
         runs: Data, one row per run or record.
         values: Measures, plain JSON values.
         figure: The drawing; ``None`` for a table alone.
+        kept: Runs that are kept instead of ``runs``.
     """
 
     title: str
@@ -136,6 +153,7 @@ class Result:
     runs: RunTable
     values: dict[str, Any]
     figure: Figure | None = None
+    kept: Sequence[EmulatedRun] = ()
 
 
 def run_reproduce(config: ReproduceConfig, listener: Listener = SILENT) -> list[Path]:
@@ -156,7 +174,13 @@ def run_reproduce(config: ReproduceConfig, listener: Listener = SILENT) -> list[
     execution = config.execution
     with own_folder(config.output), limit_threads(execution.threads), execution.open_engine() as engine:
         for key, make in _Reproduction(config, listener, engine).makers.items():
-            section = _write(config, key, make())
+            try:
+                section = _write(config, key, make())
+            except _NotEmulatedError as error:
+                if config.what != "all":
+                    raise
+                listener.say(f"left out: {key}: {error}")
+                continue
             # After every result, so that an interrupted reproduction leaves a page over what is done.
             pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
             headings, rows = drop_columns(section.headings, section.rows, WIDE)
@@ -174,11 +198,22 @@ def _write(config: ReproduceConfig, key: str, result: Result) -> Section:
     image = "" if result.figure is None else f"{key}.png"
     if result.figure is not None:
         save_figure(result.figure, config.output / image)
-    write_parquet(config.output / f"{key}.parquet", result.runs)
+    data = config.output / f"{key}.parquet"
+    if result.kept:
+        with keep_runs(data) as writer:
+            for each in result.kept:
+                writer.add(each.trajectory, each.setting, each.measures)
+            writer.describe(result.values["config"])
+    else:
+        write_parquet(data, result.runs)
     files = [f"{key}.json", f"{key}.parquet"]
     section = Section(key, result.title, result.text, config.command(key), *result.table, image, files)
     write_json(config.output / f"{key}.json", result.values | {"section": asdict(section)})
     return section
+
+
+class _NotEmulatedError(TriformError):
+    """Robots could not be emulated and driven here; the other results need none."""
 
 
 class _Reproduction:
@@ -190,7 +225,10 @@ class _Reproduction:
         self.engine = engine
         scenario = config.scenario
         self.scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
-        methods = (self.table_1, self.figure_2, self.figure_3, self.figure_4, self.figure_5, self.figure_9)
+        methods = (
+            self.table_1, self.figure_2, self.figure_3, self.figure_4, self.figure_5, self.figure_7, self.figure_8,
+            self.figure_9,
+        )  # fmt: skip
         makers: dict[str, Callable[[], Result]] = dict(zip(KEYS, methods, strict=True))
         self.makers = makers if config.what == "all" else {config.what: makers[config.what]}
         # Names and weights that cannot be used are found now, not after hours.
@@ -206,6 +244,26 @@ class _Reproduction:
     def real_like(self) -> Evaluation:
         """Runs of four robots like the paper's real ones, for Table I and Fig. 9."""
         return self._evaluate(self.config.real_scenario, (paper.REAL_ROBOTS,))
+
+    @cached_property
+    def emulated(self) -> list[EmulatedRun] | TriformError:
+        """Four emulated robots, driven from every start, for Fig. 7 and 8; or why there are none."""
+        config = self.config
+        try:
+            teams = emulated_teams(config.scenario, config.seed, _STARTS)
+            options = drive_options(config.scenario, config.controller)
+            if self.controller.privileged:
+                raise ConfigurationError(f"no robot can know what the controller {self._label} needs to know")
+            for team in teams:
+                config.scenario.check_starts(team.draw_start()[None])
+            # Kernels are compiled before robots wait for each other.
+            config.real_scenario.warm_up(teams[0].draw_start()[None], self.controller)
+            seconds = config.scenario.duration
+            title = f"{paper.REAL_ROBOTS} robots drive in real time"
+            with self.listener.progress(title, len(teams) * seconds) as advance:
+                return [run_emulated(team, options, seconds, advance) for team in teams]
+        except TriformError as error:
+            return error
 
     def table_1(self) -> Result:
         """Success of every team size, and four robots like the paper's real ones."""
@@ -293,6 +351,36 @@ class _Reproduction:
         figure = figure_5([above, below], self.scene)
         return Result("Fig. 5: a robot comes, a robot goes", text, event_rows(summaries), runs, values, figure)
 
+    def figure_7(self) -> Result:
+        """Emulated robots over time, and the occupancy maps that they see."""
+        text = (
+            f"{self._emulated_text} Above: where they truly were, with headings, ways so far and the Gabriel graph. "
+            "Below, at the same moment: the occupancy map that each robot made of its own scan, in its own frame "
+            "(front up), cells and border in the robot's colour; the green circle has the radius d*. The data holds "
+            "every scan."
+        )
+
+        def draw(runs: Sequence[EmulatedRun], scenes: Sequence[Scene]) -> Figure:
+            weights = self.config.controller.weights if self.config.controller.name == "policy" else None
+            names = [f"start {index}" for index in range(len(runs))]
+            return figure_7_maps([run.trajectory for run in runs], scenes, read_spec(weights_folder(weights)), names)
+
+        return self._real_time("Fig. 7: four emulated robots, and what each of them sees", text, draw, scans=True)
+
+    def figure_8(self) -> Result:
+        """Distances over trajectories of the emulated robots."""
+        text = (
+            f"{self._emulated_text} Above: distances over time of the pairs that end as Gabriel neighbours; the green "
+            "line is the prescribed distance, the band 10 % around it. Below: where every robot started (ring), went "
+            "(line) and ended (footprint, white line to the front), and the final graph."
+        )
+
+        def draw(runs: Sequence[EmulatedRun], scenes: Sequence[Scene]) -> Figure:
+            names = [f"start {index}" for index in range(len(runs))]
+            return figure_3([run.trajectory for run in runs], scenes[0], names)
+
+        return self._real_time("Fig. 8: distances and trajectories of four emulated robots", text, draw, scans=False)
+
     def figure_9(self) -> Result:
         """Box plots of four robots like the paper's real ones."""
         real = self.real_like
@@ -317,6 +405,41 @@ class _Reproduction:
     @property
     def _label(self) -> str:
         return self.config.controller.label
+
+    @property
+    def _emulated_text(self) -> str:
+        config = self.config
+        return (
+            f"The first {_STARTS} starts of {paper.REAL_ROBOTS} robots with seed {config.seed}, not selected by "
+            "outcome. No real robot drove here: RoboMaster EP with LD20 LiDARs are emulated in one world, byte for "
+            f"byte, and four processes of triform drive, controller {self._label}, drive them in real time for "
+            f"{config.scenario.duration:g} s, each by its own scans alone, at 8 Hz and 0.1 m/s at most. Time counts "
+            "from when the last of them began."
+        )
+
+    def _real_time(
+        self,
+        title: str,
+        text: str,
+        draw: Callable[[Sequence[EmulatedRun], Sequence[Scene]], Figure],
+        scans: bool,
+    ) -> Result:
+        """Draw the emulated robots.
+
+        Raises:
+            _NotEmulatedError: There are none.
+        """
+        runs = self.emulated
+        if isinstance(runs, TriformError):
+            raise _NotEmulatedError(str(runs)) from runs
+        scenes = [Scene(run.setting.footprint, run.setting.arena, run.setting.distance) for run in runs]
+        results = [{"robots": paper.REAL_ROBOTS, **summarise(run.measures)} for run in runs]
+        headings, rows = summary_rows(results)
+        rows = [[f"{row[0]}, start {index}", *row[1:]] for index, row in enumerate(rows)]
+        values = {"config": self.described, "results": results}
+        kept = runs if scans else [replace(run, trajectory=replace(run.trajectory, senses=())) for run in runs]
+        figure = draw(runs, scenes)
+        return Result(title, f"{text} {LEGEND}", (headings, rows), {}, values, figure, kept)
 
     def _evaluate(self, scenario: Scenario, robots: tuple[int, ...]) -> Evaluation:
         """Run and measure the controller on the starts of this reproduction."""

@@ -12,11 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
+from triform.control import weights_folder
 from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory
+from triform.figures.maps import figure_7_maps
 from triform.figures.paper import figure_9
 from triform.figures.runs import Scene, draw_distances, draw_error, draw_trajectories, present
 from triform.figures.style import bounds, figure_style, footprint_outlines, heading_marks, robot_colours, save_figure
+from triform.policy import read_spec
 
 #: Fig. 7 and 8 show the first 8 runs, 4 side by side.
 SHOWN, _COLUMNS = 8, 4
@@ -28,7 +31,8 @@ def draw_recorded(
     """Draw all figures of recorded runs.
 
     Args:
-        trajectories: The runs, each with B = 1.
+        trajectories: The runs, each with B = 1; if one has scans, Fig. 7 shows the first runs over time, with the maps
+            that its robots saw.
         scenes: Footprint, arena and prescribed distance of each.
         runs: Their measures, one row per run.
         folder: Where to put them.
@@ -37,8 +41,13 @@ def draw_recorded(
         The files written.
     """
     shown = trajectories[:SHOWN], scenes[:SHOWN]
+    if any(trajectory.senses for trajectory in shown[0]):
+        names = [_title(index, trajectory) for index, trajectory in enumerate(shown[0])]
+        figure = figure_7_maps(*shown, read_spec(weights_folder(None)), names)
+    else:
+        figure = figure_7(*shown)
     return [
-        save_figure(figure_7(*shown), folder / "fig7.png"),
+        save_figure(figure, folder / "fig7.png"),
         save_figure(figure_8(*shown), folder / "fig8.png"),
         save_figure(figure_9(runs, "recorded"), folder / "fig9.png"),
     ]
