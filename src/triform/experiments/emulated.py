@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +23,12 @@ from triform.evaluation.overrides import Overrides
 from triform.evaluation.rollout import Trajectory
 from triform.evaluation.scenario import Scenario
 from triform.recordings.description import LidarTable, RunSetting
-from triform.recordings.kept import open_runs
+from triform.recordings.kept import keep_runs, open_runs
+from triform.recordings.measure import measure_recording
+from triform.recordings.resample import read_recordings
 from triform.recordings.robots import EmulationLog, with_senses
 from triform.robots.emulate import STEP, EmulateConfig, Emulation, drive_command
-from triform.types import TriformError, printable, require
+from triform.types import TriformError, require
 
 #: World steps between two records.
 _STEPS_PER_RECORD = 10
@@ -96,7 +99,7 @@ def run_emulated(
     Args:
         config: The robots.
         options: Further options of every ``triform drive``.
-        duration: How long all robots drive [s].
+        duration: How long all robots drive, at least 5 s [s].
         on_record: Called with the time that all robots have driven since it was called last [s].
 
     Raises:
@@ -146,6 +149,34 @@ def run_emulated(
         hit_arena=contacts["hit_arena"],
     )
     return EmulatedRun(run, setting, {"run": np.array([config.index]), **measures})
+
+
+def write_emulated(path: Path, runs: Sequence[EmulatedRun], settings: dict[str, Any]) -> None:
+    """Keep runs, with the settings that they were made with, plain JSON values.
+
+    Raises:
+        TriformError: The file cannot be written.
+    """
+    with keep_runs(path) as writer:
+        for each in runs:
+            writer.add(each.trajectory, each.setting, each.measures)
+        writer.describe(settings)
+
+
+def read_emulated(path: Path, settings: dict[str, Any]) -> list[EmulatedRun]:
+    """Return the runs that ``write_emulated`` kept with equal settings; none if there is no such file.
+
+    Raises:
+        TriformError: The file is damaged.
+    """
+    kept = open_runs(path) if path.exists() else None
+    if kept is None or kept.description.settings != settings:
+        return []
+    found = []
+    for number, recording in enumerate(read_recordings(path)):
+        setting = kept.setting(number)
+        found.append(EmulatedRun(recording.trajectory, setting, measure_recording(recording, setting)))
+    return found
 
 
 def _in_real_time(emulation: Emulation) -> Iterator[None]:
@@ -210,9 +241,10 @@ class _Drives:
         """
         for robot, process in enumerate(self._started):
             if process.poll() is not None:
-                text = self._said(robot).read_text(encoding="utf-8", errors="replace").strip()
-                last = text.rpartition("\n")[2].removeprefix("triform: ") or f"exit status {process.returncode}"
-                raise TriformError(f"triform drive of emulated robot {robot} has ended: {printable(last)}")
+                said = self._said(robot).read_text(encoding="utf-8", errors="replace").splitlines()
+                reasons = [line.removeprefix("triform: ") for line in said if line.startswith("triform: ")]
+                reason = reasons[-1] if reasons else f"exit status {process.returncode}"
+                raise TriformError(f"triform drive of emulated robot {robot} has ended: {reason}")
 
     def end(self) -> None:
         """Tell all to stop, and to keep what they saw."""

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from matplotlib.figure import Figure
 
-from triform.control import ControllerSpec, control_steps, weights_folder
+from triform.control import ControllerSpec, control_steps, sight_of, weights_folder
 from triform.engines import Engine
 from triform.evaluation import paper
 from triform.evaluation.events import EVENT_TIME, Event, EventKind
@@ -20,7 +20,14 @@ from triform.evaluation.rollout import Trajectory
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.compare import REAL_PROFILE
-from triform.experiments.emulated import EmulatedRun, drive_options, emulated_teams, run_emulated
+from triform.experiments.emulated import (
+    EmulatedRun,
+    drive_options,
+    emulated_teams,
+    read_emulated,
+    run_emulated,
+    write_emulated,
+)
 from triform.experiments.evaluate import EvaluateConfig, evaluate
 from triform.experiments.settings import check_teams, describe, flat, run_memory
 from triform.figures.maps import figure_7_maps
@@ -29,9 +36,8 @@ from triform.figures.runs import Scene, TeamChange, figure_3, figure_4, figure_5
 from triform.figures.style import save_figure
 from triform.limits import require_memory
 from triform.policy import read_spec
-from triform.recordings.kept import keep_runs
 from triform.report.listener import SILENT, Listener
-from triform.report.output import own_folder, write_json
+from triform.report.output import own_folder, plain, write_json
 from triform.report.page import Section, read_sections, spell_command, write_pages
 from triform.report.results import Evaluation
 from triform.report.tables import (
@@ -200,10 +206,7 @@ def _write(config: ReproduceConfig, key: str, result: Result) -> Section:
         save_figure(result.figure, config.output / image)
     data = config.output / f"{key}.parquet"
     if result.kept:
-        with keep_runs(data) as writer:
-            for each in result.kept:
-                writer.add(each.trajectory, each.setting, each.measures)
-            writer.describe(result.values["config"])
+        write_emulated(data, result.kept, result.values["config"])
     else:
         write_parquet(data, result.runs)
     files = [f"{key}.json", f"{key}.parquet"]
@@ -245,10 +248,27 @@ class _Reproduction:
         """Runs of four robots like the paper's real ones, for Table I and Fig. 9."""
         return self._evaluate(self.config.real_scenario, (paper.REAL_ROBOTS,))
 
+    @property
+    def emulated_described(self) -> dict[str, Any]:
+        """All that decides about the emulated robots, plain JSON values; they look as far as their controller does."""
+        config = self.config
+        scenario = replace(config.real_scenario, sight=sight_of(config.controller))
+        options = flat(config, without=("what", "output", "runs"))
+        described: dict[str, Any] = plain(options | describe(scenario, self.controller))
+        return described
+
     @cached_property
     def emulated(self) -> list[EmulatedRun] | TriformError:
-        """Four emulated robots, driven from every start, for Fig. 7 and 8; or why there are none."""
+        """Four emulated robots, driven from every start, for Fig. 7 and 8; or why there are none.
+
+        Fig. 8 alone shows the runs of Fig. 7 that the folder holds.
+        """
         config = self.config
+        before = []
+        if config.what == "fig8":
+            before = read_emulated(config.output / "fig7.parquet", self.emulated_described)
+        if before:
+            return before
         try:
             teams = emulated_teams(config.scenario, config.seed, _STARTS)
             options = drive_options(config.scenario, config.controller)
@@ -436,7 +456,7 @@ class _Reproduction:
         results = [{"robots": paper.REAL_ROBOTS, **summarise(run.measures)} for run in runs]
         headings, rows = summary_rows(results)
         rows = [[f"{row[0]}, start {index}", *row[1:]] for index, row in enumerate(rows)]
-        values = {"config": self.described, "results": results}
+        values = {"config": self.emulated_described, "results": results}
         kept = runs if scans else [replace(run, trajectory=replace(run.trajectory, senses=())) for run in runs]
         figure = draw(runs, scenes)
         return Result(title, f"{text} {LEGEND}", (headings, rows), {}, values, figure, kept)
