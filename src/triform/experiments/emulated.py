@@ -34,6 +34,8 @@ from triform.types import TriformError, require
 _STEPS_PER_RECORD = 10
 #: How long processes may take to begin, which compile kernels after an installation, and to end [s].
 _TO_BEGIN, _TO_END = 300.0, 30.0
+#: All robots drive once the last one has been connected for so long: it has had a scan, and a command has followed [s].
+_FIRST_STEPS = 0.5
 #: A world that is farther behind shows robots nothing for longer than they wait [s].
 _LATEST = 5.0
 
@@ -94,7 +96,7 @@ def run_emulated(
 ) -> EmulatedRun:
     """Drive a team of emulated robots.
 
-    Robots begin to drive as soon as their processes are ready, and the run begins with the last of them.
+    Robots begin to drive as soon as their processes are ready, and the run begins when all of them drive.
 
     Args:
         config: The robots.
@@ -119,9 +121,11 @@ def run_emulated(
                 if began is None:
                     if time.monotonic() > patience:
                         raise TriformError(f"a robot did not begin to drive within {_TO_BEGIN:g} s")
-                    if not all(base.driven for base in emulation.bases):
-                        continue
-                    began = emulation.time
+                    if all(base.driven for base in emulation.bases):
+                        began = emulation.time + _FIRST_STEPS
+                    continue
+                if emulation.time < began - STEP / 2:
+                    continue
                 log.add(emulation)
                 moments.append(time.time())
                 if emulation.time - began > duration - STEP / 2:

@@ -434,7 +434,7 @@ class _Reproduction:
             "outcome. No real robot drove here: RoboMaster EP with LD20 LiDARs are emulated in one world, byte for "
             f"byte, and four processes of triform drive, controller {self._label}, drive them in real time for "
             f"{config.scenario.duration:g} s, each by its own scans alone, at 8 Hz and 0.1 m/s at most. Time counts "
-            "from when the last of them began."
+            "from when all of them drive."
         )
 
     def _real_time(
