@@ -282,15 +282,11 @@ class ParquetRuns(KeptRuns):
 
     def trajectory(self, run: int, scans: bool = False) -> Trajectory:
         """Read a run, B = 1, as ``KeptRuns.trajectory``."""
-        import pyarrow as pa
-
         entry, where = self.description.runs[run], self.label(run)
         more = sensed.COLUMNS if scans and self.has_scans else ()
-        try:
+        with _readable(where):
             table = self._file.read_row_group(run, columns=[*COLUMNS, *more])
             columns = {name: table[name].to_numpy() for name in COLUMNS}
-        except (OSError, pa.ArrowException) as error:
-            raise TriformError(f"{where} cannot be read: {first_line(error)}") from None
         robots, rows = np.arange(entry.robots), len(table)
         records = rows // max(1, entry.robots)
         time = columns["time"][:: max(1, entry.robots)]
@@ -323,18 +319,28 @@ def open_runs(path: Path) -> KeptRuns | None:
         TriformError: The file is damaged.
     """
     require_parquet()
-    import pyarrow as pa
     from pyarrow import parquet
 
-    try:
+    with _readable(str(path)):
         file = parquet.ParquetFile(path, page_checksum_verification=True)
-    except pa.ArrowException as error:
-        raise TriformError(f"{path} cannot be read: {first_line(error)}") from None
-    data = (file.metadata.metadata or {}).get(KEY)
+        data, names = (file.metadata.metadata or {}).get(KEY), set(file.schema_arrow.names)
     if data is None:
         return None
     description = decode_description(data, str(path))
     columns = {*COLUMNS, *(sensed.COLUMNS if description.lidars else ())}
-    if file.num_row_groups != len(description.runs) or not columns <= set(file.schema_arrow.names):
+    if file.num_row_groups != len(description.runs) or not columns <= names:
         raise TriformError(f"{path} cannot be read: its rows are not those of its {len(description.runs)} runs")
     return ParquetRuns(path, description, file)
+
+
+@contextmanager
+def _readable(where: str) -> Iterator[None]:
+    """Say in one sentence why a Parquet file cannot be read; errors of the system stay as they are."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+        if getattr(error, "errno", None) is not None:
+            raise
+        raise TriformError(f"{where} cannot be read: {first_line(error)}") from None
