@@ -11,7 +11,7 @@ import pytest
 import shapely
 
 from tests.options import options, scenario
-from triform.experiments import reproduce as module
+from triform.experiments import real_time as module
 from triform.experiments.emulated import EmulatedRun, emulated_teams, run_emulated
 from triform.experiments.reproduce import ReproduceConfig, run_reproduce
 from triform.figures.style import footprint_outlines

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from matplotlib.figure import Figure
 
-from triform.control import ControllerSpec, control_steps, sight_of, weights_folder
+from triform.control import ControllerSpec, control_steps
 from triform.engines import Engine
 from triform.evaluation import paper
 from triform.evaluation.events import EVENT_TIME, Event, EventKind
@@ -20,24 +20,17 @@ from triform.evaluation.rollout import Trajectory
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.compare import REAL_PROFILE
-from triform.experiments.emulated import (
-    EmulatedRun,
-    drive_options,
-    emulated_teams,
-    read_emulated,
-    run_emulated,
-    write_emulated,
-)
+from triform.experiments.emulated import emulated_teams, write_emulated
 from triform.experiments.evaluate import EvaluateConfig, evaluate
+from triform.experiments.real_time import STARTS, NotEmulatedError, RealTimeFigures
+from triform.experiments.result import Result
 from triform.experiments.settings import check_teams, describe, flat, run_memory
-from triform.figures.maps import figure_7_maps
 from triform.figures.paper import figure_2, figure_9
 from triform.figures.runs import Scene, TeamChange, figure_3, figure_4, figure_5
 from triform.figures.style import save_figure
 from triform.limits import require_memory
-from triform.policy import read_spec
 from triform.report.listener import SILENT, Listener
-from triform.report.output import own_folder, plain, write_json
+from triform.report.output import own_folder, write_json
 from triform.report.page import Section, read_sections, spell_command, write_pages
 from triform.report.results import Evaluation
 from triform.report.tables import (
@@ -59,7 +52,6 @@ from triform.types import (
     ConfigurationError,
     Controller,
     PrivilegedView,
-    TriformError,
     convert_fields,
     require,
 )
@@ -75,8 +67,8 @@ SNAPSHOT_SIZES = (9, 13)
 _CHANGED, _SHOWN = 7, {"join": 6, "leave": 7}
 #: Fig. 5 shows the first qualifying run of this many.
 _CANDIDATES = 10
-#: Results of emulated robots in real time, and how many starts they show.
-_EMULATED, _STARTS = ("fig7", "fig8"), 2
+#: Results of emulated robots in real time.
+_EMULATED = ("fig7", "fig8")
 #: What the paper calls these events.
 _CHANGES: dict[EventKind, str] = {"join": "addition", "leave": "removal"}
 #: What the paper measured with its real robots, as results name it.
@@ -127,7 +119,7 @@ class ReproduceConfig:
             except ConfigurationError as error:
                 raise ConfigurationError(f"{self.what} also runs the profile {REAL_PROFILE!r}: {error}") from None
         if self.what in _EMULATED:
-            emulated_teams(self.scenario, self.seed, _STARTS)
+            emulated_teams(self.scenario, self.seed, STARTS)
 
     @property
     def real_scenario(self) -> Scenario:
@@ -137,29 +129,6 @@ class ReproduceConfig:
     def command(self, key: str) -> str:
         """Return the command that makes result ``key`` again: every option that matters to it and is no default."""
         return spell_command(["triform", "reproduce", key], self, never=("what",))
-
-
-@dataclass(frozen=True)
-class Result:
-    """A result before it is written.
-
-    Attributes:
-        title: Heading.
-        text: What is shown and how to read it.
-        table: Headings and formatted rows.
-        runs: Data, one row per run or record.
-        values: Measures, plain JSON values.
-        figure: The drawing; ``None`` for a table alone.
-        kept: Runs that are kept instead of ``runs``.
-    """
-
-    title: str
-    text: str
-    table: tuple[list[str], list[list[str]]]
-    runs: RunTable
-    values: dict[str, Any]
-    figure: Figure | None = None
-    kept: Sequence[EmulatedRun] = ()
 
 
 def run_reproduce(config: ReproduceConfig, listener: Listener = SILENT) -> list[Path]:
@@ -182,7 +151,7 @@ def run_reproduce(config: ReproduceConfig, listener: Listener = SILENT) -> list[
         for key, make in _Reproduction(config, listener, engine).makers.items():
             try:
                 section = _write(config, key, make())
-            except _NotEmulatedError as error:
+            except NotEmulatedError as error:
                 if config.what != "all":
                     raise
                 listener.say(f"left out: {key}: {error}")
@@ -215,10 +184,6 @@ def _write(config: ReproduceConfig, key: str, result: Result) -> Section:
     return section
 
 
-class _NotEmulatedError(TriformError):
-    """Robots could not be emulated and driven here; the other results need none."""
-
-
 class _Reproduction:
     """Makes results; what two of them need is computed once."""
 
@@ -247,43 +212,6 @@ class _Reproduction:
     def real_like(self) -> Evaluation:
         """Runs of four robots like the paper's real ones, for Table I and Fig. 9."""
         return self._evaluate(self.config.real_scenario, (paper.REAL_ROBOTS,))
-
-    @property
-    def emulated_described(self) -> dict[str, Any]:
-        """All that decides about the emulated robots, plain JSON values; they look as far as their controller does."""
-        config = self.config
-        scenario = replace(config.real_scenario, sight=sight_of(config.controller))
-        options = flat(config, without=("what", "output", "runs"))
-        described: dict[str, Any] = plain(options | describe(scenario, self.controller))
-        return described
-
-    @cached_property
-    def emulated(self) -> list[EmulatedRun] | TriformError:
-        """Four emulated robots, driven from every start, for Fig. 7 and 8; or why there are none.
-
-        Fig. 8 alone shows the runs of Fig. 7 that the folder holds.
-        """
-        config = self.config
-        before = []
-        if config.what == "fig8":
-            before = read_emulated(config.output / "fig7.parquet", self.emulated_described)
-        if before:
-            return before
-        try:
-            teams = emulated_teams(config.scenario, config.seed, _STARTS)
-            options = drive_options(config.scenario, config.controller)
-            if self.controller.privileged:
-                raise ConfigurationError(f"no robot can know what the controller {self._label} needs to know")
-            for team in teams:
-                config.scenario.check_starts(team.draw_start()[None])
-            # Kernels are compiled before robots wait for each other.
-            config.real_scenario.warm_up(teams[0].draw_start()[None], self.controller)
-            seconds = config.scenario.duration
-            title = f"{paper.REAL_ROBOTS} robots drive in real time"
-            with self.listener.progress(title, len(teams) * seconds) as advance:
-                return [run_emulated(team, options, seconds, advance) for team in teams]
-        except TriformError as error:
-            return error
 
     def table_1(self) -> Result:
         """Success of every team size, and four robots like the paper's real ones."""
@@ -371,35 +299,21 @@ class _Reproduction:
         figure = figure_5([above, below], self.scene)
         return Result("Fig. 5: a robot comes, a robot goes", text, event_rows(summaries), runs, values, figure)
 
+    @cached_property
+    def real_time(self) -> RealTimeFigures:
+        """Fig. 7 and 8 of the emulated robots; Fig. 8 alone shows the runs of Fig. 7 that the folder holds."""
+        config = self.config
+        options = flat(config, without=("what", "output", "runs"))
+        before = config.output / "fig7.parquet" if config.what == "fig8" else None
+        return RealTimeFigures(config.real_scenario, config.controller, config.seed, options, before, self.listener)
+
     def figure_7(self) -> Result:
         """Emulated robots over time, and the occupancy maps that they see."""
-        text = (
-            f"{self._emulated_text} Above: where they truly were, with headings, ways so far and the Gabriel graph. "
-            "Below, at the same moment: the occupancy map that each robot made of its own scan, in its own frame "
-            "(front up), cells and border in the robot's colour; the green circle has the radius d*. The data holds "
-            "every scan."
-        )
-
-        def draw(runs: Sequence[EmulatedRun], scenes: Sequence[Scene]) -> Figure:
-            weights = self.config.controller.weights if self.config.controller.name == "policy" else None
-            names = [f"start {index}" for index in range(len(runs))]
-            return figure_7_maps([run.trajectory for run in runs], scenes, read_spec(weights_folder(weights)), names)
-
-        return self._real_time("Fig. 7: four emulated robots, and what each of them sees", text, draw, scans=True)
+        return self.real_time.figure_7()
 
     def figure_8(self) -> Result:
         """Distances over trajectories of the emulated robots."""
-        text = (
-            f"{self._emulated_text} Above: distances over time of the pairs that end as Gabriel neighbours; the green "
-            "line is the prescribed distance, the band 10 % around it. Below: where every robot started (ring), went "
-            "(line) and ended (footprint, white line to the front), and the final graph."
-        )
-
-        def draw(runs: Sequence[EmulatedRun], scenes: Sequence[Scene]) -> Figure:
-            names = [f"start {index}" for index in range(len(runs))]
-            return figure_3([run.trajectory for run in runs], scenes[0], names)
-
-        return self._real_time("Fig. 8: distances and trajectories of four emulated robots", text, draw, scans=False)
+        return self.real_time.figure_8()
 
     def figure_9(self) -> Result:
         """Box plots of four robots like the paper's real ones."""
@@ -425,41 +339,6 @@ class _Reproduction:
     @property
     def _label(self) -> str:
         return self.config.controller.label
-
-    @property
-    def _emulated_text(self) -> str:
-        config = self.config
-        return (
-            f"The first {_STARTS} starts of {paper.REAL_ROBOTS} robots with seed {config.seed}, not selected by "
-            "outcome. No real robot drove here: RoboMaster EP with LD20 LiDARs are emulated in one world, byte for "
-            f"byte, and four processes of triform drive, controller {self._label}, drive them in real time for "
-            f"{config.scenario.duration:g} s, each by its own scans alone, at 8 Hz and 0.1 m/s at most. Time counts "
-            "from when all of them drive."
-        )
-
-    def _real_time(
-        self,
-        title: str,
-        text: str,
-        draw: Callable[[Sequence[EmulatedRun], Sequence[Scene]], Figure],
-        scans: bool,
-    ) -> Result:
-        """Draw the emulated robots.
-
-        Raises:
-            _NotEmulatedError: There are none.
-        """
-        runs = self.emulated
-        if isinstance(runs, TriformError):
-            raise _NotEmulatedError(str(runs)) from runs
-        scenes = [Scene(run.setting.footprint, run.setting.arena, run.setting.distance) for run in runs]
-        results = [{"robots": paper.REAL_ROBOTS, **summarise(run.measures)} for run in runs]
-        headings, rows = summary_rows(results)
-        rows = [[f"{row[0]}, start {index}", *row[1:]] for index, row in enumerate(rows)]
-        values = {"config": self.emulated_described, "results": results}
-        kept = runs if scans else [replace(run, trajectory=replace(run.trajectory, senses=())) for run in runs]
-        figure = draw(runs, scenes)
-        return Result(title, f"{text} {LEGEND}", (headings, rows), {}, values, figure, kept)
 
     def _evaluate(self, scenario: Scenario, robots: tuple[int, ...]) -> Evaluation:
         """Run and measure the controller on the starts of this reproduction."""
