@@ -37,6 +37,10 @@ def test_all_results_are_written_and_tied_together(tmp_path, listener):
     config = options(ReproduceConfig, controller="expert-sensed", what="all", output=tmp_path, runs=2, duration=27.0)
     pages = run_reproduce(config, listener)
     assert pages == [tmp_path / "index.md", tmp_path / "index.html"]
+    # Emulated robots know no true poses.
+    shown = listener.console.file.getvalue()
+    for key in ("fig7", "fig8"):
+        assert f"left out: {key}: no robot can know what the controller expert-sensed needs to know" in shown
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
         "index.md", "index.html", "table1.json", "table1.parquet",
@@ -153,6 +157,8 @@ def test_the_page_says_which_change_is_shown(formed, tmp_path, listener, monkeyp
         ({"what": "fig4", "duration": 4.0}, "duration is 4.0 s; a run is measured over its last 5 s"),
         ({"what": "fig4", "duration": 6.25}, "whole number of control periods of 0.1 s"),
         ({"what": "table1", "duration": 27.1}, "table1 also runs the profile 'hardware'"),
+        ({"what": "fig7", "simulator": "mujoco"}, "Fig. 7 and 8 show emulated robots of the hardware profile as it is"),
+        ({"what": "fig8", "range_noise": 0.1}, "Fig. 7 and 8 show emulated robots of the hardware profile as it is"),
     ],
 )
 def test_bad_settings_are_refused(changes, message):

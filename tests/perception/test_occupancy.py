@@ -92,7 +92,9 @@ def test_who_has_moved_sees_the_same_returns_from_there(
     direction = rng.uniform(-np.pi, np.pi)
     moved = np.array([way * np.cos(direction), way * np.sin(direction), turned])
     np.testing.assert_array_equal(seen_from(ranges, scan, config, moved), algorithm_3(ranges, scan, config, moved))
+    there = occupancy_maps(Scan(np.stack([ranges] * 2), scan), config, np.stack([np.zeros(3), moved]))
     at_rest = occupancy_maps(Scan(ranges, scan), config)
+    np.testing.assert_array_equal(there, [at_rest, algorithm_3(ranges, scan, config, moved)])
     np.testing.assert_array_equal(seen_from(ranges, scan, config, np.zeros(3)), at_rest)
 
 

@@ -10,10 +10,12 @@ import pytest
 
 from triform.cli import main
 from triform.commands.drive import Drive
+from triform.evaluation import Trajectory
+from triform.evaluation.senses import SensesLog
 from triform.recordings.kept import keep_runs, open_runs
 from triform.recordings.resample import read_recordings
-from triform.recordings.robots import write_drive
-from triform.types import ConfigurationError, TriformError
+from triform.recordings.robots import with_senses, write_drive
+from triform.types import ConfigurationError, Scan, ScanConfig, TriformError, View
 
 
 def test_an_emulation_keeps_true_poses(tmp_path, capsys):
@@ -68,6 +70,47 @@ def test_a_drive_keeps_odometry_and_says_that_it_is_that(recorded, tmp_path):
     assert trajectory.time[0] == 1700000000.125
 
 
+def views(robot, steps):
+    """What a robot sees in some steps: a ray at 1 m and the number of the step, and itself at rest from step 1 on."""
+    log = SensesLog()
+    for step in range(steps):
+        ranges = np.array([[[1.0, step, np.inf, np.nan]]], np.float32)
+        known = {"noise": np.full((1, 1, 2), robot)} | ({"odometry": np.full((1, 1, 3), 0.1)} if step else {})
+        log.add(View(Scan(ranges, ScanConfig(rays=4)), np.ones((1, 1), bool), float(step), **known))
+    return log.senses
+
+
+def test_a_drive_keeps_what_its_controller_saw_in_the_steps_that_are_written(recorded, tmp_path):
+    config = Drive(record=recorded, keep=tmp_path / "run.parquet", scans=True, lidar_model="ld19")
+    with keep_runs(config.keep, source="odometry") as writer:
+        write_drive(writer, recorded, config, views(3, 5))
+    runs = open_runs(config.keep)
+    (lidar,) = runs.description.lidars
+    assert (lidar.scan.rays, lidar.period, lidar.rolling) == (4, config.model.period, True)
+    (senses,) = runs.trajectory(0, scans=True).senses
+    # It sees though its odometry is not known yet.
+    assert senses.active.all()
+    np.testing.assert_array_equal(senses.ranges[0, :, 0], [[1, k, np.inf, np.nan] for k in range(3)])
+    seen = [senses.view(record, 0.0) for record in range(3)]
+    assert seen[0].odometry is None
+    np.testing.assert_array_equal(seen[2].odometry[0, 0], [0.1, 0.1, 0.1])
+    np.testing.assert_array_equal(seen[0].noise[0, 0], [3, 3])
+
+
+def test_every_record_of_an_emulation_gets_the_newest_step_of_each_drive():
+    def driven(robot, times):
+        time, still = np.array(times), np.zeros((1, len(times), 1, 3))
+        return Trajectory(time, still, np.ones((1, len(times), 1), bool), still[:, 1:], views(robot, len(times)))
+
+    still = np.zeros((1, 4, 2, 3))
+    run = Trajectory(np.arange(4.0), still, np.ones((1, 4, 2), bool), still[:, 1:])
+    drives = [driven(0, [10.05, 11.0, 11.5]), driven(1, [9.0, 9.5, 12.95, 13.1])]
+    (senses,) = with_senses(run, 10.0 + np.arange(4), drives).senses
+    assert senses.ranges[0, :, 0, 1].tolist() == [0, 1, 2, 2]
+    assert senses.ranges[0, :, 1, 1].tolist() == [1, 1, 1, 2]
+    assert senses.noise[0, :, :, 0].tolist() == [[0, 1]] * 4
+
+
 def test_a_drive_that_recorded_nothing_keeps_nothing(recorded, tmp_path):
     (recorded / "steps.csv").write_text("\n".join(STEPS.split("\n")[:2]) + "\n")
     with (
@@ -78,3 +121,5 @@ def test_a_drive_that_recorded_nothing_keeps_nothing(recorded, tmp_path):
     assert not (tmp_path / "run.parquet").exists()
     with pytest.raises(ConfigurationError, match="keep is given without record"):
         Drive(keep=tmp_path / "run.parquet")
+    with pytest.raises(ConfigurationError, match="scans is given without keep or mcap"):
+        Drive(record=recorded, scans=True)

@@ -9,6 +9,7 @@ from typing import ClassVar
 from rich.console import Console
 
 from triform.commands.drive_screen import DriveScreen
+from triform.evaluation.senses import SensesLog
 from triform.recordings.kept import check_kept
 from triform.robots.drive import DriveConfig, run_drive
 from triform.types import require
@@ -21,21 +22,23 @@ class Drive(DriveConfig):
     Attributes:
         keep: File for odometry and commands, in Parquet, made of the recording when the drive ends.
         mcap: File for the same in MCAP with Foxglove's schemas, for viewers.
+        scans: Whether these two also hold what the controller saw: scans, odometry and exploration noise.
     """
 
     GROUPS: ClassVar[dict[str, tuple[str, ...]]] = {
         "body": ("profile", "footprint", "max_speed", "max_turn_rate"),
         "lidar": ("lidar", "lidar_model", "mounting", "lidar_position", "upside_down", "blind_sector", "min_intensity"),
         "base": ("address", "usb", "local_address", "watchdog", "odometry"),
-        "recording": ("record", "keep", "mcap", "robot", "start_pose"),
+        "recording": ("record", "keep", "mcap", "scans", "robot", "start_pose"),
     }
 
     keep: Path | None = None
     mcap: Path | None = None
+    scans: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_kept(self.keep, self.mcap)
+        check_kept(self.keep, self.mcap, self.scans)
         for name, path in (("keep", self.keep), ("mcap", self.mcap)):
             require(path is None or self.record is not None, f"{name} is given without record, of which it is made")
 
@@ -47,11 +50,11 @@ class Drive(DriveConfig):
             return
         from triform.recordings.robots import keep_until_signal, write_drive
 
-        record = self.record
+        record, seen = self.record, SensesLog()
         keep_until_signal(
             (self.keep, self.mcap),
             "odometry",
-            lambda: run_drive(self, screen),
-            lambda writer: write_drive(writer, record, self),
+            lambda: run_drive(self, screen, seen.add if self.scans else None),
+            lambda writer: write_drive(writer, record, self, seen.senses),
             screen.say,
         )

@@ -3,7 +3,7 @@
 from triform.control.expert import EXPERTS, Expert, ExpertVariant, Springs, expert_into, expert_variant
 from triform.control.gnn import GnnController
 from triform.control.intensity import IntensityThreshold, bright_returns
-from triform.control.learned import LearnedPolicy
+from triform.control.learned import LearnedPolicy, view_maps
 from triform.control.loop import control_steps, drive
 from triform.control.mixed import MixedController
 from triform.control.orca import OrcaFilter, OrcaSettings
@@ -55,5 +55,6 @@ __all__ = [
     "rolling_arcs",
     "shipped_weights",
     "sight_of",
+    "view_maps",
     "weights_folder",
 ]

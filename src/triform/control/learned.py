@@ -9,9 +9,10 @@ import numpy as np
 
 from triform.control.last_step import LastStep
 from triform.control.scan_packer import SCANS_AT_ONCE, ScanPacker
+from triform.perception import occupancy_maps
 from triform.policy import GnnRuntime, PolicyRuntime, PolicySpec, describe_network, map_network
 from triform.threads import in_parts
-from triform.types import FloatArray, Scan, ScanConfig, View, require
+from triform.types import FloatArray, MapArray, MapConfig, Scan, ScanConfig, View, require
 
 #: Robots whose commands keep a thread busy for a few milliseconds.
 _ROBOTS_PER_THREAD = 64
@@ -33,6 +34,21 @@ def twist_spec(runtime: PolicyRuntime | GnnRuntime) -> PolicySpec:
         "exploration noise",
     )
     return runtime.spec
+
+
+def view_maps(view: View, spec: PolicySpec, distance: float) -> tuple[MapArray, MapConfig]:
+    """Return the occupancy maps that a policy makes of what robots see, shape (B, N, H, W), and their shape.
+
+    Args:
+        view: What they see.
+        spec: The policy.
+        distance: Prescribed neighbour distance d* [m].
+
+    Raises:
+        ConfigurationError: The scans or the distance do not fit the policy's training.
+    """
+    used, config = spec.views(view.scans.config, distance)
+    return occupancy_maps(Scan(view.scans.ranges, used), config, view.odometry), config
 
 
 def describe_policy(runtime: PolicyRuntime | GnnRuntime, **settings: Any) -> dict[str, Any]:

@@ -151,6 +151,7 @@ def run_event(
     duration: float,
     distance: float,
     on_step: Callable[[], None] | None = None,
+    scans: bool = False,
 ) -> EventRun:
     """Drive B worlds through an event.
 
@@ -162,6 +163,7 @@ def run_event(
         duration: Length of a run [s].
         distance: Prescribed neighbour distance d* [m].
         on_step: Called once per control period, for progress.
+        scans: Whether to record what the robots sense, too.
 
     Raises:
         TriformError: The arena has no place for a robot that joins.
@@ -172,11 +174,11 @@ def run_event(
             robots = team.active.shape[1]
             stuck = np.array([np.random.default_rng(draw).integers(robots) for draw in draws])
             controller = _OneStuck(controller, stuck)
-        run = rollout(team, controller, duration, on_step)
+        run = rollout(team, controller, duration, on_step, scans)
         return EventRun(run, None, run, stuck)
-    before = rollout(team, controller, event.time, on_step)
+    before = rollout(team, controller, event.time, on_step, scans)
     robot = interrupt(event, team, draws, distance)
-    after = rollout(team, controller, duration - event.time, on_step)
+    after = rollout(team, controller, duration - event.time, on_step, scans)
     return EventRun(before.then(after), before, after, robot)
 
 

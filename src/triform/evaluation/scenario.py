@@ -262,6 +262,7 @@ class Scenario:
         seed: int = 7,
         indices: Sequence[int] | IntArray | None = None,
         on_step: Callable[[float], None] | None = None,
+        scans: bool = False,
     ) -> tuple[Trajectory, RunTable]:
         """Run and measure B worlds.
 
@@ -272,6 +273,7 @@ class Scenario:
             indices: Index of every run, shape (B,); a run is a function of start, team size, seed and index alone.
                 They count from 0 if omitted.
             on_step: Called with the number of control periods times robots that were just done, for progress.
+            scans: Whether to record what the robots sense, too.
 
         Returns:
             What happened, and one row of measures per run: of an event that interrupts the run, from the event on, with
@@ -292,10 +294,10 @@ class Scenario:
         for runs, team in self._open_teams(poses, seeds):
             step = None if on_step is None else partial(on_step, poses[runs, :, 0].size)
             if event is None:
-                whole = rollout(team, driver, self.duration, step)
+                whole = rollout(team, driver, self.duration, step, scans)
                 parts.append((whole, self.measure(whole, team)))
             else:
-                found = run_event(event, team, draws[runs], driver, self.duration, self.distance, step)
+                found = run_event(event, team, draws[runs], driver, self.duration, self.distance, step, scans)
                 parts.append((found.whole, self._measure_event(event, found, team)))
         trajectories, tables = zip(*parts, strict=True)
         return Trajectory.side_by_side(trajectories), concatenate(tables)

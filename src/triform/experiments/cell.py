@@ -50,6 +50,7 @@ class Cell:
         group: Cells of a group are left out together, if the controller of one of them cannot be made.
         starts: Explicit starts instead of random ones.
         wanted: Whether the cell is to be run; if not, only results that the file holds are shown.
+        scans: Whether what happened in its runs says what the robots sensed.
     """
 
     labels: Mapping[str, str]
@@ -62,6 +63,7 @@ class Cell:
     group: str
     starts: Starts | None = None
     wanted: bool = True
+    scans: bool = False
 
     @property
     def key(self) -> tuple[str | int, ...]:
@@ -91,7 +93,7 @@ class Cell:
     def memory(self) -> float:
         """About how much memory the starts, the measures and the runs of one chunk need [bytes]."""
         largest = max(part.stop - part.start for part in chunks(self.runs, self.robots))
-        return run_memory(self.scenario, self.robots, largest) + self.runs * (500 + 50 * self.robots)
+        return run_memory(self.scenario, self.robots, largest, self.scans) + self.runs * (500 + 50 * self.robots)
 
     def settings(self, controller: Controller[Any]) -> dict[str, Any]:
         """Return all that decides about the runs as plain JSON values, equal for cells that run the same."""
@@ -119,7 +121,7 @@ class Cell:
         else:
             some = slice(first, first + count)
             indices, poses = self.starts.indices[some], self.starts.poses[some]
-        trajectory, table = self.scenario.run(poses, controller, self.seed, indices, on_step)
+        trajectory, table = self.scenario.run(poses, controller, self.seed, indices, on_step, self.scans)
         return trajectory, {"run": indices} | table
 
     def check(self) -> None:

@@ -45,6 +45,7 @@ class DemoConfig:
             with the extra video the animation as MP4 and, with the extra view, a page that plays the run.
         mcap: File for what happened in MCAP with Foxglove's schemas, for viewers.
         speed: How many times faster than real the animation runs.
+        scans: Whether what happened says what the robots sensed, too: scans, odometry and exploration noise.
         threads: Threads of the whole command; one for each processor if omitted.
         scenario: Everything else about the run.
     """
@@ -56,6 +57,7 @@ class DemoConfig:
     output: Path = Path("demo")
     mcap: Path | None = None
     speed: float = 4.0
+    scans: bool = False
     threads: int | None = None
     scenario: Scenario = field(default_factory=Scenario)
 
@@ -138,9 +140,9 @@ def drive_team(config: DemoConfig, listener: Listener = SILENT) -> DemoRun:
     with limit_threads(config.threads), bar as advance:
         scenario.warm_up(poses, controller)
         began = time.perf_counter()
-        trajectory, table = scenario.run(poses, controller, config.seed, [config.index], advance)
+        trajectory, table = scenario.run(poses, controller, config.seed, [config.index], advance, config.scans)
     took = time.perf_counter() - began
-    settings = flat(config, without=("output", "mcap", "speed", "threads")) | describe(scenario, controller)
+    settings = flat(config, without=("output", "mcap", "speed", "scans", "threads")) | describe(scenario, controller)
     return DemoRun(config, trajectory, table, settings, took)
 
 
@@ -162,7 +164,8 @@ def run_demo(config: DemoConfig, listener: Listener = SILENT) -> list[Path]:
     scenario, label = config.scenario, config.controller.label
     # Figures hold the graphs of all records.
     graphs = 2.0 * scenario.steps * config.robots**2
-    require_memory(run_memory(scenario, config.robots) + graphs, f"a run of {config.robots} robots")
+    needed = run_memory(scenario, config.robots, scans=config.scans) + graphs
+    require_memory(needed, f"a run of {config.robots} robots")
     kept = [path for path in (config.output / "run.parquet", config.mcap) if path is not None]
     with own_folder(config.output), keep_runs(*kept) as writer:
         run = drive_team(config, listener)

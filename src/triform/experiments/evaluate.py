@@ -43,6 +43,7 @@ class EvaluateConfig:
         parquet: File for one row per run; by default beside the summary.
         keep: File for what happened in every run, in Parquet: poses and commands, as triform measure reads them.
         mcap: File for what happened in the only run, in MCAP with Foxglove's schemas, for viewers.
+        scans: Whether these two also hold what the robots sensed: scans, odometry and exploration noise.
         scenario: Everything else about the runs.
         execution: Where the runs are computed.
     """
@@ -56,6 +57,7 @@ class EvaluateConfig:
     parquet: Path | None = None
     keep: Path | None = None
     mcap: Path | None = None
+    scans: bool = False
     scenario: Scenario = field(default_factory=Scenario)
     execution: Execution = field(default_factory=Execution)
 
@@ -63,7 +65,7 @@ class EvaluateConfig:
         convert_fields(self)
         object.__setattr__(self, "robots", team_sizes(self.scenario, self.robots, EvaluateConfig.robots))
         check_teams(self.robots, self.runs, self.seed)
-        check_kept(self.keep, self.mcap)
+        check_kept(self.keep, self.mcap, self.scans)
         require(
             self.mcap is None or (self.runs == 1 and len(self.robots) == 1),
             f"mcap is given with {self.runs} runs of {len(self.robots)} team sizes; it holds one run, because viewers "
@@ -92,7 +94,8 @@ class EvaluateConfig:
 
     def _cell(self, robots: int, runs: int, starts: Starts | None = None) -> Cell:
         name, labels = f"teams of {robots}", {"controller": self.controller.label}
-        return Cell(labels, self.scenario, self.controller, robots, runs, self.seed, name, "controller", starts)
+        scenario, who, scans = self.scenario, self.controller, self.scans
+        return Cell(labels, scenario, who, robots, runs, self.seed, name, "controller", starts, scans=scans)
 
 
 def evaluate(
@@ -120,7 +123,7 @@ def evaluate(
     """
     cells = config.cells
     grid = Grid(cells)
-    options = flat(config, without=("json", "parquet", "keep", "mcap"))
+    options = flat(config, without=("json", "parquet", "keep", "mcap", "scans"))
     evaluation = Evaluation(options | describe(config.scenario, grid.controller(grid.cells[0])))
 
     def on_cell(seconds: float) -> None:

@@ -1,4 +1,4 @@
-"""The paper's Table I and Fig. 2 to 5 and 9 with our numbers beside its own."""
+"""The paper's Table I and Fig. 2 to 5 and 7 to 9 with our numbers beside its own."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from triform.evaluation.rollout import Trajectory
 from triform.evaluation.runs import Execution
 from triform.evaluation.scenario import Scenario
 from triform.experiments.compare import REAL_PROFILE
+from triform.experiments.emulated import emulated_teams, write_emulated
 from triform.experiments.evaluate import EvaluateConfig, evaluate
+from triform.experiments.real_time import STARTS, NotEmulatedError, RealTimeFigures
+from triform.experiments.result import Result
 from triform.experiments.settings import check_teams, describe, flat, run_memory
 from triform.figures.paper import figure_2, figure_9
 from triform.figures.runs import Scene, TeamChange, figure_3, figure_4, figure_5
@@ -44,9 +47,16 @@ from triform.report.tables import (
     write_parquet,
 )
 from triform.threads import limit_threads
-from triform.types import SENSING_RANGE, ConfigurationError, Controller, PrivilegedView, convert_fields, require
+from triform.types import (
+    SENSING_RANGE,
+    ConfigurationError,
+    Controller,
+    PrivilegedView,
+    convert_fields,
+    require,
+)
 
-What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig9", "all"]
+What = Literal["table1", "fig2", "fig3", "fig4", "fig5", "fig7", "fig8", "fig9", "all"]
 KEYS = [key for key in get_args(What) if key != "all"]
 SIZES = tuple(paper.SUCCESS)
 #: Looks as far as the paper's robots.
@@ -57,6 +67,8 @@ SNAPSHOT_SIZES = (9, 13)
 _CHANGED, _SHOWN = 7, {"join": 6, "leave": 7}
 #: Fig. 5 shows the first qualifying run of this many.
 _CANDIDATES = 10
+#: Results of emulated robots in real time.
+_EMULATED = ("fig7", "fig8")
 #: What the paper calls these events.
 _CHANGES: dict[EventKind, str] = {"join": "addition", "leave": "removal"}
 #: What the paper measured with its real robots, as results name it.
@@ -106,6 +118,8 @@ class ReproduceConfig:
                 control_steps(scenario.duration, self.real_scenario.robot.control_period)
             except ConfigurationError as error:
                 raise ConfigurationError(f"{self.what} also runs the profile {REAL_PROFILE!r}: {error}") from None
+        if self.what in _EMULATED:
+            emulated_teams(self.scenario, self.seed, STARTS)
 
     @property
     def real_scenario(self) -> Scenario:
@@ -115,27 +129,6 @@ class ReproduceConfig:
     def command(self, key: str) -> str:
         """Return the command that makes result ``key`` again: every option that matters to it and is no default."""
         return spell_command(["triform", "reproduce", key], self, never=("what",))
-
-
-@dataclass(frozen=True)
-class Result:
-    """A result before it is written.
-
-    Attributes:
-        title: Heading.
-        text: What is shown and how to read it.
-        table: Headings and formatted rows.
-        runs: Data, one row per run or record.
-        values: Measures, plain JSON values.
-        figure: The drawing; ``None`` for a table alone.
-    """
-
-    title: str
-    text: str
-    table: tuple[list[str], list[list[str]]]
-    runs: RunTable
-    values: dict[str, Any]
-    figure: Figure | None = None
 
 
 def run_reproduce(config: ReproduceConfig, listener: Listener = SILENT) -> list[Path]:
@@ -156,7 +149,13 @@ def run_reproduce(config: ReproduceConfig, listener: Listener = SILENT) -> list[
     execution = config.execution
     with own_folder(config.output), limit_threads(execution.threads), execution.open_engine() as engine:
         for key, make in _Reproduction(config, listener, engine).makers.items():
-            section = _write(config, key, make())
+            try:
+                section = _write(config, key, make())
+            except NotEmulatedError as error:
+                if config.what != "all":
+                    raise
+                listener.say(f"left out: {key}: {error}")
+                continue
             # After every result, so that an interrupted reproduction leaves a page over what is done.
             pages = write_pages(config.output, "Results beside the paper's", read_sections(config.output, KEYS))
             headings, rows = drop_columns(section.headings, section.rows, WIDE)
@@ -173,7 +172,11 @@ def _write(config: ReproduceConfig, key: str, result: Result) -> Section:
     image = "" if result.figure is None else f"{key}.png"
     if result.figure is not None:
         save_figure(result.figure, config.output / image)
-    write_parquet(config.output / f"{key}.parquet", result.runs)
+    data = config.output / f"{key}.parquet"
+    if result.kept:
+        write_emulated(data, result.kept, result.values["config"])
+    else:
+        write_parquet(data, result.runs)
     files = [f"{key}.json", f"{key}.parquet"]
     section = Section(key, result.title, result.text, config.command(key), *result.table, image, files)
     write_json(config.output / f"{key}.json", result.values | {"section": asdict(section)})
@@ -189,7 +192,10 @@ class _Reproduction:
         self.engine = engine
         scenario = config.scenario
         self.scene = Scene(scenario.robot.footprint, scenario.surroundings, scenario.distance)
-        methods = (self.table_1, self.figure_2, self.figure_3, self.figure_4, self.figure_5, self.figure_9)
+        methods = (
+            self.table_1, self.figure_2, self.figure_3, self.figure_4, self.figure_5, self.figure_7, self.figure_8,
+            self.figure_9,
+        )  # fmt: skip
         makers: dict[str, Callable[[], Result]] = dict(zip(KEYS, methods, strict=True))
         self.makers = makers if config.what == "all" else {config.what: makers[config.what]}
         # Names and weights that cannot be used are found now, not after hours.
@@ -291,6 +297,22 @@ class _Reproduction:
         values = {"config": self.described, "results": summaries}
         figure = figure_5([above, below], self.scene)
         return Result("Fig. 5: a robot comes, a robot goes", text, event_rows(summaries), runs, values, figure)
+
+    @cached_property
+    def real_time(self) -> RealTimeFigures:
+        """Fig. 7 and 8 of the emulated robots; Fig. 8 alone shows the runs of Fig. 7 that the folder holds."""
+        config = self.config
+        options = flat(config, without=("what", "output", "runs"))
+        before = config.output / "fig7.parquet" if config.what == "fig8" else None
+        return RealTimeFigures(config.real_scenario, config.controller, config.seed, options, before, self.listener)
+
+    def figure_7(self) -> Result:
+        """Emulated robots over time, and the occupancy maps that they see."""
+        return self.real_time.figure_7()
+
+    def figure_8(self) -> Result:
+        """Distances over trajectories of the emulated robots."""
+        return self.real_time.figure_8()
 
     def figure_9(self) -> Result:
         """Box plots of four robots like the paper's real ones."""

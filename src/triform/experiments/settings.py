@@ -70,15 +70,18 @@ def team_sizes(scenario: Scenario, robots: tuple[int, ...], omitted: tuple[int, 
     return (size,)
 
 
-def run_memory(scenario: Scenario, robots: int, runs: int = 1) -> float:
+def run_memory(scenario: Scenario, robots: int, runs: int = 1, scans: bool = False) -> float:
     """Return about how much memory runs need that are simulated at once [bytes].
 
     It is that of the recorded poses and commands, which are measured as a whole, of the scans that are under way to
     the controllers, and of the robots' own state; found from the peaks of runs of 1 to 1,000 robots and 50 to 40,000
     steps.
     """
-    late = max(each.latency / each.lidar.period * each.lidar.scan.rays for each in scenario.team.profiles)
-    return scenario.steps * (1000 + 200.0 * robots * runs) + robots * runs * (1e5 + 8 * late)
+    kinds = scenario.team.profiles
+    # Recorded scans are there twice while they are put together.
+    sensed = 8 * max(each.lidar.scan.rays for each in kinds) + 100 if scans else 0
+    late = max(each.latency / each.lidar.period * each.lidar.scan.rays for each in kinds)
+    return scenario.steps * (1000 + (200.0 + sensed) * robots * runs) + robots * runs * (1e5 + 8 * late)
 
 
 def warn_of_time(work: float, threads: int | None, listener: Listener, rate: float = _STEPS_PER_SECOND) -> None:

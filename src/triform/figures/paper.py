@@ -54,7 +54,7 @@ def figure_2(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
         for row, trajectory in enumerate(trajectories):
             for column, record in enumerate(records):
                 axes = panels[row, column]
-                _draw_snapshot(axes, trajectory, record, scene)
+                draw_snapshot(axes, trajectory, record, scene)
                 frame(axes, trajectory.positions, scene.arena, half_side)
                 axes.set_title(f"{trajectory.time[record]:.0f} s", loc="left")
                 axes.set_xlabel("x [m]" if row == rows - 1 else "")
@@ -106,7 +106,7 @@ def _draw_measure(axes: Axes, tables: list[RunTable], measure: str, published: f
     axes.set_ylim(0, max(axes.get_ylim()[1], 1.25 * factor * published))
 
 
-def _draw_snapshot(axes: Axes, trajectory: Trajectory, record: int, scene: Scene) -> None:
+def draw_snapshot(axes: Axes, trajectory: Trajectory, record: int, scene: Scene) -> None:
     """Draw the team of a single run at a record, with the ways that its robots have gone."""
     robots = present(trajectory, record)
     poses = trajectory.poses[0][: record + 1, robots]

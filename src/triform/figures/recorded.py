@@ -12,8 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
+from triform.control import weights_folder
 from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory
+from triform.figures.maps import figure_7_maps
 from triform.figures.paper import figure_9
 from triform.figures.runs import Scene, draw_distances, draw_error, draw_trajectories, present
 from triform.figures.sheet import contact_sheet
@@ -26,6 +28,7 @@ from triform.figures.style import (
     robot_colours,
     save_figure,
 )
+from triform.policy import read_spec
 
 #: Fig. 7 and 8 show the first 8 runs, 4 side by side.
 SHOWN, _COLUMNS = 8, 4
@@ -37,7 +40,8 @@ def draw_recorded(
     """Draw all figures of recorded runs.
 
     Args:
-        trajectories: The runs, each with B = 1.
+        trajectories: The runs, each with B = 1; if one has scans, Fig. 7 shows the first runs over time, with the maps
+            that its robots saw.
         scenes: Footprint, arena and prescribed distance of each.
         runs: Their measures, one row per run.
         folder: Where to put them.
@@ -46,7 +50,12 @@ def draw_recorded(
         The files written.
     """
     shown = trajectories[:SHOWN], scenes[:SHOWN]
-    figures = {"fig7": figure_7(*shown), "fig8": figure_8(*shown), "fig9": figure_9(runs, "recorded")}
+    if any(trajectory.senses for trajectory in shown[0]):
+        names = [_title(index, trajectory) for index, trajectory in enumerate(shown[0])]
+        seventh = figure_7_maps(*shown, read_spec(weights_folder(None)), names)
+    else:
+        seventh = figure_7(*shown)
+    figures = {"fig7": seventh, "fig8": figure_8(*shown), "fig9": figure_9(runs, "recorded")}
     figures["sheet"] = contact_sheet(trajectories, scenes, runs)
     return [path for name, figure in figures.items() for path in save_figure(figure, folder / f"{name}.png")]
 

@@ -166,8 +166,14 @@ def run_figure(trajectory: Trajectory, scene: Scene, title: str) -> Figure:
     return figure
 
 
-def figure_3(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
-    """Draw runs of growing teams side by side: distances above, trajectories with the final graph below."""
+def figure_3(trajectories: Sequence[Trajectory], scene: Scene, names: Sequence[str] = ()) -> Figure:
+    """Draw runs side by side: distances above, trajectories with the final graph below.
+
+    Args:
+        trajectories: Single runs, B = 1.
+        scene: What surrounds them.
+        names: What each is called; its number of robots if omitted.
+    """
     with figure_style():
         columns = len(trajectories)
         figure, axes = plt.subplots(2, columns, figsize=(2.75 * columns, 5.7), squeeze=False)
@@ -176,7 +182,7 @@ def figure_3(trajectories: Sequence[Trajectory], scene: Scene) -> Figure:
             upper, lower = axes[:, column]
             draw_distances(upper, trajectory, scene)
             draw_trajectories(lower, trajectory, scene, half_side)
-            upper.set_title(f"{len(present(trajectory, -1))} robots", loc="left")
+            upper.set_title(names[column] if names else f"{len(present(trajectory, -1))} robots", loc="left")
             if column > 0:
                 upper.set_ylabel("")
                 lower.set_ylabel("")

@@ -18,7 +18,7 @@ import numpy as np
 
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import MapArray, MapConfig, Scan, ScanConfig
+from triform.types import FloatArray, MapArray, MapConfig, Scan, ScanConfig
 
 # Bits of a cell of the working grid.
 _MARKED = 1
@@ -159,18 +159,17 @@ def occupied_into(ranges, moved, cos, sin, rules, workspace):
 
 
 @kernel
-def _maps(ranges, cos, sin, rules, out, first, last):
+def _maps(ranges, moved, cos, sin, rules, out, first, last):
     size = out.shape[1]
     workspace = map_workspace(size)
     cells = workspace.cells
-    at_rest = np.zeros(3)
     for m in range(first, last):
-        kept = occupied_into(ranges[m], at_rest, cos, sin, rules, workspace)
+        kept = occupied_into(ranges[m], moved[m], cos, sin, rules, workspace)
         for q in range(kept):
             out[m, cells[q] // size, cells[q] % size] = 1
 
 
-def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
+def occupancy_maps(scan: Scan, config: MapConfig, odometry: FloatArray | None = None) -> MapArray:
     """Binary occupancy maps of scans (Algorithm 3).
 
     The robot is at the centre of the map; rows grow with x (forward), columns with y (left); cell (i, j) covers
@@ -180,6 +179,8 @@ def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
     Args:
         scan: Ranges of shape (..., R); what is not in (0, range_max] is no return (REP 117).
         config: Size of the map and limits of the groups that are kept.
+        odometry: Poses of the robots in their body frames at the moments of their scans [m, m, rad], shape (..., 3);
+            robots have not moved since if omitted.
 
     Returns:
         Maps, uint8, shape (..., H, W): 1 where a robot-sized group of returns is, 0 elsewhere.
@@ -187,7 +188,8 @@ def occupancy_maps(scan: Scan, config: MapConfig) -> MapArray:
     angles = scan.config.angles
     cos, sin = np.cos(angles), np.sin(angles)
     ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
+    moved = np.zeros((len(ranges), 3)) if odometry is None else np.ascontiguousarray(odometry).reshape(-1, 3)
     out = np.zeros((ranges.shape[0], config.size, config.size), dtype=np.uint8)
     rules = map_rules(scan.config, config)
-    in_parts(partial(_maps, ranges, cos, sin, rules, out), len(ranges), len(ranges), _SCANS_PER_THREAD)
+    in_parts(partial(_maps, ranges, moved, cos, sin, rules, out), len(ranges), len(ranges), _SCANS_PER_THREAD)
     return out.reshape(*scan.ranges.shape[:-1], config.size, config.size)

@@ -14,8 +14,8 @@ from triform.evaluation.events import Event
 from triform.evaluation.metrics import RunTable
 from triform.evaluation.scenario import Scenario
 from triform.report.output import plain
-from triform.simulation import Arena, Footprint
-from triform.types import ConfigurationError, TriformError, require
+from triform.simulation import Arena, Footprint, LidarConfig
+from triform.types import ConfigurationError, ScanConfig, TriformError, require
 from triform.version import __version__
 
 #: Version of the format.
@@ -35,6 +35,26 @@ WHOLE_RUN = (
 
 
 @dataclass(frozen=True)
+class LidarTable:
+    """A LiDAR as JSON has it.
+
+    Attributes:
+        scan: Rays of a full turn and limits of range, as controllers see them.
+        period: Time of one turn [s].
+        rolling: Whether each ray is measured at its own moment of the turn; otherwise all at the turn's end.
+    """
+
+    scan: ScanConfig
+    period: float
+    rolling: bool
+
+    @classmethod
+    def of(cls, lidar: LidarConfig) -> LidarTable:
+        """Return a LiDAR of a profile."""
+        return cls(lidar.scan, lidar.period, lidar.rolling)
+
+
+@dataclass(frozen=True)
 class RunSetting:
     """What measures and drawings of a run need besides its trajectory.
 
@@ -43,17 +63,20 @@ class RunSetting:
         footprint: Outline of all robots, or of each.
         arena: Walls and pillars.
         event: What happens during the run.
+        lidars: LiDAR of each kind of robots, in their order, where scans are recorded.
     """
 
     distance: float
     footprint: Footprint | tuple[Footprint, ...]
     arena: Arena
     event: Event | None = None
+    lidars: tuple[LidarTable, ...] = ()
 
     @classmethod
     def of(cls, scenario: Scenario, robots: int) -> RunSetting:
         """Return the setting of runs of a scenario with ``robots`` robots, those that join included."""
-        return cls(scenario.distance, scenario.team.outlines(robots), scenario.surroundings, scenario.event)
+        lidars = tuple(LidarTable.of(profile.lidar) for profile in scenario.team.profiles)
+        return cls(scenario.distance, scenario.team.outlines(robots), scenario.surroundings, scenario.event, lidars)
 
     def of_robots(self, robots: Sequence[int]) -> RunSetting:
         """Return the setting of a run of some of the robots."""
@@ -135,6 +158,7 @@ class Description:
         settings: Settings and controller, for people.
         arenas: The arenas of its runs.
         runs: The runs, in the order of the rows.
+        lidars: The LiDARs whose scans it holds; none where scans are not kept.
     """
 
     format: int
@@ -143,6 +167,7 @@ class Description:
     settings: dict[str, Any]
     arenas: tuple[ArenaTable, ...]
     runs: tuple[RunEntry, ...]
+    lidars: tuple[LidarTable, ...] = ()
 
     def setting(self, entry: RunEntry) -> RunSetting:
         """Return the setting of a run.
@@ -163,8 +188,11 @@ class Description:
         return RunSetting(entry.distance, footprint, Arena(table.name, walls, pillars), entry.event)
 
     def encode(self) -> bytes:
-        """Return the description as JSON."""
-        return json.dumps(plain(asdict(self)), allow_nan=False).encode()
+        """Return the description as JSON, with LiDARs where scans are kept."""
+        values = asdict(self)
+        if not self.lidars:
+            del values["lidars"]
+        return json.dumps(plain(values), allow_nan=False).encode()
 
 
 def decode_description(data: bytes, source: str) -> Description:
@@ -178,7 +206,7 @@ def decode_description(data: bytes, source: str) -> Description:
     if version != FORMAT:
         raise TriformError(f"{source} holds runs in format {version!r}; this version reads format {FORMAT}")
     try:
-        return decode_dataclass(Description, values, "the description")
+        return decode_dataclass(Description, {"lidars": [], **values}, "the description")
     except ConfigurationError as error:
         raise TriformError(f"{source} cannot be read: {error}") from None
 
@@ -191,6 +219,7 @@ class Descriptions:
         self._source: Source = source
         self._arenas: list[ArenaTable] = []
         self._runs: list[RunEntry] = []
+        self._lidars: list[LidarTable] = []
         #: Settings and controller, for people; plain JSON values.
         self.settings: Mapping[str, Any] = {}
 
@@ -223,9 +252,21 @@ class Descriptions:
         self._runs.append(entry)
         return entry
 
+    def add_lidar(self, lidar: LidarTable) -> int:
+        """Add a LiDAR whose scans are kept, unless it is there, and return its number."""
+        if lidar not in self._lidars:
+            self._lidars.append(lidar)
+        return self._lidars.index(lidar)
+
     @property
     def description(self) -> Description:
         """What the file says."""
         return Description(
-            FORMAT, __version__, self._source, dict(self.settings), tuple(self._arenas), tuple(self._runs)
+            FORMAT,
+            __version__,
+            self._source,
+            dict(self.settings),
+            tuple(self._arenas),
+            tuple(self._runs),
+            tuple(self._lidars),
         )

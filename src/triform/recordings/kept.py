@@ -1,13 +1,14 @@
 """Kept runs: trajectories in Parquet, from which every measure is that of the run to the bit.
 
 A file is a long table with one row per run, record and robot, sorted by these, each run in a row group of its own, and
-a ``Description`` as JSON in its metadata.
+a ``Description`` as JSON in its metadata. Where scans are kept, the rows have columns of what each robot sensed, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Protocol
 
@@ -15,7 +16,9 @@ import numpy as np
 
 from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory
+from triform.evaluation.senses import Senses
 from triform.files import cannot_write, open_atomically
+from triform.recordings import sensed
 from triform.recordings.description import Description, Descriptions, RunSetting, Source, decode_description
 from triform.recordings.formats import first_line
 from triform.report.output import prepare_file
@@ -26,7 +29,7 @@ from triform.types import ConfigurationError, TriformError, is_plausible, requir
 KEY = b"triform"
 #: Columns of poses [m, m, rad] and of the body twists held from a record to the next [m/s, m/s, rad/s].
 _POSE, _TWIST = ("x", "y", "heading"), ("v_x", "v_y", "omega")
-#: All columns of the table.
+#: All columns of a table without scans.
 COLUMNS = ("run", "time", "robot", *_POSE, *_TWIST)
 #: Times are Unix times at most, in units of the largest number of metres.
 _LATEST = 1e6
@@ -63,27 +66,16 @@ class RunWriter:
             file: Where to.
             source: Where poses come from.
         """
-        import pyarrow as pa
-        from pyarrow import parquet
-
-        kinds = {name: pa.int32() if name in ("run", "robot") else pa.float64() for name in COLUMNS}
-        self._schema = pa.schema(list(kinds.items()))
-        self._path = path
-        self._writer = parquet.ParquetWriter(
-            file,
-            self._schema,
-            compression="zstd",
-            use_dictionary=["run", "time", "robot"],
-            use_byte_stream_split=[*_POSE, *_TWIST],
-            write_page_checksum=True,
-        )
+        self._path, self._file = path, file
+        self._writer: Any = None
+        self._scans = False
         self._descriptions = Descriptions(source)
 
     def add(self, trajectory: Trajectory, setting: RunSetting, measures: RunTable) -> None:
         """Write runs.
 
         Args:
-            trajectory: B runs.
+            trajectory: B runs, either all or none of a file with what their robots sensed.
             setting: Their setting.
             measures: Their measures, one row per run; ``run`` is the index of the start, and of the others those are
                 kept that poses alone cannot give. Empty if poses can give all.
@@ -92,11 +84,14 @@ class RunWriter:
             TriformError: The disk is full or fails.
         """
         robots = trajectory.poses.shape[2]
+        if self._writer is None:
+            self._begin(scans=bool(trajectory.senses))
         for run in range(len(trajectory.poses)):
             row = {name: column[run] for name, column in measures.items()}
             entry = self._descriptions.add(setting, robots, row)
+            table = self._table(entry.run, trajectory.run(run), setting)
             try:
-                self._writer.write_table(self._table(entry.run, trajectory.run(run)))
+                self._writer.write_table(table, row_group_size=len(table))
             except OSError as error:
                 raise cannot_write(self._path, error) from error
 
@@ -110,6 +105,8 @@ class RunWriter:
         Raises:
             TriformError: The disk is full or fails.
         """
+        if self._writer is None:
+            self._begin(scans=False)
         try:
             self._writer.add_key_value_metadata({KEY: self._descriptions.description.encode()})
             self._writer.close()
@@ -118,11 +115,34 @@ class RunWriter:
 
     def give_up(self) -> None:
         """Write nothing more, also when the writer is deleted later."""
-        self._writer.is_open = False
+        if self._writer is not None:
+            self._writer.is_open = False
 
-    def _table(self, number: int, run: Trajectory) -> Any:
+    def _begin(self, scans: bool) -> None:
+        """Begin the table, once it is known whether it holds scans."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        self._scans = scans
+        kinds = {name: pa.int32() if name in ("run", "robot") else pa.float64() for name in COLUMNS}
+        numbers = [*_POSE, *_TWIST]
+        if scans:
+            kinds |= sensed.column_types()
+            numbers += sensed.SPLIT
+        self._schema = pa.schema(list(kinds.items()))
+        self._writer = parquet.ParquetWriter(
+            self._file,
+            self._schema,
+            compression="zstd",
+            use_dictionary=["run", "time", "robot", *["lidar"] * scans],
+            use_byte_stream_split=numbers,
+            write_page_checksum=True,
+        )
+
+    def _table(self, number: int, run: Trajectory, setting: RunSetting) -> Any:
         import pyarrow as pa
 
+        require(bool(run.senses) == self._scans, f"{self._path} holds scans of all of its runs, or of none")
         records, robots = run.active.shape[1:]
         there = run.active[0]
         held = np.concatenate([run.commands[0], np.full((1, robots, 3), np.nan)])
@@ -133,7 +153,12 @@ class RunWriter:
             *(np.where(there, run.poses[0, ..., k], np.nan).ravel() for k in range(3)),
             *(held[..., k].ravel() for k in range(3)),
         ]
-        return pa.table([pa.array(column, from_pandas=True) for column in columns], schema=self._schema)
+        arrays = [pa.array(column, from_pandas=True) for column in columns]
+        if self._scans:
+            lidars = zip(setting.lidars, run.senses, strict=True)
+            numbers = [self._descriptions.add_lidar(replace(lidar, scan=own.scan)) for lidar, own in lidars]
+            arrays += sensed.make_columns(run.senses, numbers)
+        return pa.table(arrays, schema=self._schema)
 
 
 class Writers:
@@ -154,12 +179,13 @@ class Writers:
             each.describe(settings)
 
 
-def check_kept(keep: Path | None, mcap: Path | None) -> None:
-    """Refuse names of files by whose endings no reader would know them.
+def check_kept(keep: Path | None, mcap: Path | None, scans: bool = False) -> None:
+    """Refuse names of files by whose endings no reader would know them, and scans without a file.
 
     Raises:
-        ConfigurationError: One has another ending than .parquet, the other than .mcap.
+        ConfigurationError: One has another ending than .parquet, the other than .mcap, or scans are for neither.
     """
+    require(not scans or keep is not None or mcap is not None, "scans is given without keep or mcap, which hold them")
     for name, path, ending in (("keep", keep, ".parquet"), ("mcap", mcap, ".mcap")):
         require(path is None or path.suffix == ending, f"{name} is {path}; the name of its file ends in {ending}")
 
@@ -228,8 +254,17 @@ class KeptRuns:
         except ConfigurationError as error:
             raise TriformError(f"{self.label(run)} cannot be read: {error}") from None
 
-    def trajectory(self, run: int) -> Trajectory:
+    @property
+    def has_scans(self) -> bool:
+        """Whether ``trajectory`` can read what the robots sensed."""
+        return bool(self.description.lidars)
+
+    def trajectory(self, run: int, scans: bool = False) -> Trajectory:
         """Read a run, B = 1.
+
+        Args:
+            run: Which of the file.
+            scans: Whether to read what the robots sensed, too, where the file holds it.
 
         Raises:
             TriformError: Its records are damaged.
@@ -245,16 +280,13 @@ class ParquetRuns(KeptRuns):
         super().__init__(path, description)
         self._file = file
 
-    def trajectory(self, run: int) -> Trajectory:
+    def trajectory(self, run: int, scans: bool = False) -> Trajectory:
         """Read a run, B = 1, as ``KeptRuns.trajectory``."""
-        import pyarrow as pa
-
         entry, where = self.description.runs[run], self.label(run)
-        try:
-            table = self._file.read_row_group(run, columns=list(COLUMNS))
+        more = sensed.COLUMNS if scans and self.has_scans else ()
+        with _readable(where):
+            table = self._file.read_row_group(run, columns=[*COLUMNS, *more])
             columns = {name: table[name].to_numpy() for name in COLUMNS}
-        except (OSError, pa.ArrowException) as error:
-            raise TriformError(f"{where} cannot be read: {first_line(error)}") from None
         robots, rows = np.arange(entry.robots), len(table)
         records = rows // max(1, entry.robots)
         time = columns["time"][:: max(1, entry.robots)]
@@ -274,7 +306,10 @@ class ParquetRuns(KeptRuns):
         active = ~np.isnan(poses).any(axis=-1)
         if not (np.isnan(poses[~active]).all() and is_plausible(poses[active])):
             raise TriformError(f"{where}: a pose is not whole, or absurd")
-        return Trajectory(time, poses, active, commands)
+        senses: tuple[Senses, ...] = ()
+        if more:
+            senses = sensed.read_columns(table, self.description.lidars, records, entry.robots, where)
+        return Trajectory(time, poses, active, commands, senses)
 
 
 def open_runs(path: Path) -> KeptRuns | None:
@@ -284,17 +319,28 @@ def open_runs(path: Path) -> KeptRuns | None:
         TriformError: The file is damaged.
     """
     require_parquet()
-    import pyarrow as pa
     from pyarrow import parquet
 
-    try:
+    with _readable(str(path)):
         file = parquet.ParquetFile(path, page_checksum_verification=True)
-    except pa.ArrowException as error:
-        raise TriformError(f"{path} cannot be read: {first_line(error)}") from None
-    data = (file.metadata.metadata or {}).get(KEY)
+        data, names = (file.metadata.metadata or {}).get(KEY), set(file.schema_arrow.names)
     if data is None:
         return None
     description = decode_description(data, str(path))
-    if file.num_row_groups != len(description.runs) or not set(COLUMNS) <= set(file.schema_arrow.names):
+    columns = {*COLUMNS, *(sensed.COLUMNS if description.lidars else ())}
+    if file.num_row_groups != len(description.runs) or not columns <= names:
         raise TriformError(f"{path} cannot be read: its rows are not those of its {len(description.runs)} runs")
     return ParquetRuns(path, description, file)
+
+
+@contextmanager
+def _readable(where: str) -> Iterator[None]:
+    """Say in one sentence why a Parquet file cannot be read; errors of the system stay as they are."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+        if getattr(error, "errno", None) is not None:
+            raise
+        raise TriformError(f"{where} cannot be read: {first_line(error)}") from None

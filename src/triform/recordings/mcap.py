@@ -1,7 +1,8 @@
 """Runs as MCAP with Foxglove's schemas: written for viewers, and read as recordings.
 
 A file holds one run: transforms from ``world`` to each robot on ``/tf``, the Gabriel graph on ``/formation``, walls and
-pillars on ``/arena``, and, as JSON, exact poses with commands on ``/robots`` and measures on ``/measures``.
+pillars on ``/arena``, and, as JSON, exact poses with commands on ``/robots`` and measures on ``/measures``. Where scans
+are recorded, ``/robot0/scan`` and ``/robot0/map`` have those of each robot and the occupancy maps that they make.
 """
 
 from __future__ import annotations
@@ -13,22 +14,21 @@ from typing import IO, Any
 
 import numpy as np
 
+from triform.control import view_maps, weights_folder
 from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory
+from triform.evaluation.senses import Senses
 from triform.files import cannot_write
-from triform.geometry import assess, gabriel_graph
+from triform.geometry import assess
+from triform.policy import read_spec
+from triform.recordings import foxglove_messages as messages
 from triform.recordings.description import Descriptions, RunSetting, Source, decode_description
 from triform.recordings.formats import RawRun, frame_run, planar_pose
 from triform.recordings.kept import KEY, KeptRuns
 from triform.report.output import plain
-from triform.simulation import Arena
-from triform.types import FloatArray, TriformError, require
+from triform.types import ConfigurationError, FloatArray, TriformError, require
 
-WORLD = "world"
-#: Edges are blue at d* and red from this relative error on.
-_WRONG, _RIGHT_COLOUR, _WRONG_COLOUR = 0.2, np.array([0.0, 0.447, 0.698]), np.array([0.835, 0.369, 0.0])
 _NANOSECONDS = 10**9
-_ROBOT = "robot"
 _TRANSFORMS = ("foxglove.FrameTransforms", "foxglove.FrameTransform")
 
 
@@ -101,28 +101,24 @@ class McapWriter:
             self._writer.close()
 
     def _write(self, run: Trajectory, setting: RunSetting) -> None:
-        from foxglove.messages import FrameTransform, FrameTransforms, SceneUpdate
+        from foxglove.messages import FrameTransforms, SceneUpdate
 
         poses, active = run.poses[0], run.active[0]
         full, sensed = (
             assess(poses[..., :2], setting.distance, reach, active) for reach in (np.inf, 2.0 * setting.distance)
         )
         moments = [round(moment * _NANOSECONDS) for moment in run.time.tolist()]
-        self._arena.log(SceneUpdate(entities=[_obstacles(setting.arena, moments[0])]), log_time=moments[0])
+        firsts = np.cumsum([0, *(each.robots for each in run.senses)]).tolist()
+        sensed_topics = [
+            _SensedTopics(each, first, setting.distance, self._context)
+            for each, first in zip(run.senses, firsts, strict=False)
+        ]
+        self._arena.log(SceneUpdate(entities=[messages.obstacles(setting.arena, moments[0])]), log_time=moments[0])
         for record, moment in enumerate(moments):
             there = np.flatnonzero(active[record])
-            transforms = [
-                FrameTransform(
-                    timestamp=_stamp(moment),
-                    parent_frame_id=WORLD,
-                    child_frame_id=f"{_ROBOT}{robot}",
-                    translation=_vector(*poses[record, robot, :2]),
-                    rotation=_turn(poses[record, robot, 2]),
-                )
-                for robot in there
-            ]
+            transforms = [messages.transform(robot, poses[record, robot], moment) for robot in there.tolist()]
             self._transforms.log(FrameTransforms(transforms=transforms), log_time=moment)
-            edges = _edges(poses[record, there, :2], setting.distance, moment)
+            edges = messages.edges(poses[record, there, :2], setting.distance, moment)
             self._formation.log(SceneUpdate(entities=[edges]), log_time=moment)
             held = run.commands[0, record] if record < len(moments) - 1 else np.full_like(poses[record], np.nan)
             robots = [dict(zip(("robot", *_STATE), [int(i), *poses[record, i], *held[i]], strict=True)) for i in there]
@@ -135,95 +131,56 @@ class McapWriter:
                 "compactness": full.compactness[record],
             }
             self._measures.log(plain(found), log_time=moment)
+            for each in sensed_topics:
+                each.log(record, float(run.time[record]))
+
+
+class _SensedTopics:
+    """Topics of the scans and occupancy maps of the robots of one kind."""
+
+    def __init__(self, senses: Senses, first: int, distance: float, context: Any) -> None:
+        """Open them; the first robot has number ``first``, and d* is a distance [m]."""
+        from foxglove.channels import GridChannel, LaserScanChannel
+
+        self._senses, self._first, self._distance = senses, first, distance
+        self._spec = read_spec(weights_folder(None))
+        topics = [f"/{messages.robot_frame(first + index)}" for index in range(senses.robots)]
+        self._scans = [LaserScanChannel(f"{topic}/scan", context=context) for topic in topics]
+        self._maps = [GridChannel(f"{topic}/map", context=context) for topic in topics]
+
+    def log(self, record: int, time: float) -> None:
+        """Write what was sensed at a record, and its time [s]."""
+        view, moment = self._senses.view(record, time), round(time * _NANOSECONDS)
+        there = np.flatnonzero(view.active[0]).tolist()
+        for index in there:
+            moved = None if view.odometry is None else view.odometry[0, index]
+            ranges = view.scans.ranges[0, index]
+            shown = messages.laser_scan(self._first + index, view.scans.config, ranges, moved, moment)
+            self._scans[index].log(shown, log_time=moment)
+        # LiDARs that see less far than the policy looks, or whose rays are too far apart, give no map.
+        with suppress(ConfigurationError):
+            maps, config = view_maps(view, self._spec, self._distance)
+            for index in there:
+                grid = messages.occupancy_grid(self._first + index, maps[0, index], config.cell, moment)
+                self._maps[index].log(grid, log_time=moment)
 
 
 #: What ``/robots`` says of each: pose [m, m, rad], and the body twist held to the next record [m/s, m/s, rad/s].
 _STATE = ("x", "y", "heading", "v_x", "v_y", "omega")
 
 
-def _stamp(moment: int) -> Any:
-    from foxglove.messages import Timestamp
-
-    return Timestamp(*divmod(moment, _NANOSECONDS))
-
-
-def _vector(x: float, y: float) -> Any:
-    from foxglove.messages import Vector3
-
-    return Vector3(x=float(x), y=float(y), z=0.0)
-
-
-def _turn(heading: float) -> Any:
-    from foxglove.messages import Quaternion
-
-    return Quaternion(x=0.0, y=0.0, z=float(np.sin(heading / 2)), w=float(np.cos(heading / 2)))
-
-
-def _points(places: FloatArray) -> list[Any]:
-    from foxglove.messages import Point3
-
-    return [Point3(x=float(x), y=float(y), z=0.0) for x, y in places]
-
-
-def _edges(places: FloatArray, distance: float, moment: int) -> Any:
-    """Return the Gabriel graph of places (N, 2), coloured by how far each edge is from d* [m]."""
-    from foxglove.messages import Color, LinePrimitive, LinePrimitiveLineType, SceneEntity
-
-    edges = np.argwhere(np.triu(gabriel_graph(places), 1)) if len(places) > 1 else np.zeros((0, 2), np.int64)
-    errors = np.abs(np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1) - distance) / distance
-    share = np.minimum(errors / _WRONG, 1.0)[:, None]
-    blends = _RIGHT_COLOUR + share * (_WRONG_COLOUR - _RIGHT_COLOUR)
-    colours = [Color(r=r, g=g, b=b, a=1.0) for r, g, b in blends.tolist()]
-    lines = LinePrimitive(
-        type=LinePrimitiveLineType.LineList,
-        thickness=0.03,
-        points=_points(places[edges].reshape(-1, 2)),
-        colors=[colour for colour in colours for _ in range(2)],
-    )
-    return SceneEntity(id="graph", frame_id=WORLD, timestamp=_stamp(moment), lines=[lines])
-
-
-def _obstacles(arena: Arena, moment: int) -> Any:
-    """Return walls and pillars as a scene."""
-    from foxglove.messages import (
-        Color,
-        CylinderPrimitive,
-        LinePrimitive,
-        LinePrimitiveLineType,
-        Pose,
-        SceneEntity,
-        Vector3,
-    )
-
-    dark = Color(r=0.2, g=0.2, b=0.2, a=1.0)
-    walls = LinePrimitive(
-        type=LinePrimitiveLineType.LineList, thickness=0.05, points=_points(arena.walls.reshape(-1, 2)), color=dark
-    )
-    pillars = [
-        CylinderPrimitive(
-            pose=Pose(position=_vector(x, y), orientation=_turn(0.0)),
-            size=Vector3(x=2 * radius, y=2 * radius, z=0.5),
-            bottom_scale=1.0,
-            top_scale=1.0,
-            color=dark,
-        )
-        for x, y, radius in arena.pillars.tolist()
-    ]
-    return SceneEntity(id=arena.name, frame_id=WORLD, timestamp=_stamp(moment), lines=[walls], cylinders=pillars)
-
-
 class McapRuns(KeptRuns):
     """The run of an MCAP file that ``McapWriter`` wrote."""
 
-    def trajectory(self, run: int) -> Trajectory:
-        """Read the run, B = 1, as ``KeptRuns.trajectory``; its commands are ``NaN``."""
+    def trajectory(self, run: int, scans: bool = False) -> Trajectory:  # noqa: ARG002
+        """Read the run, B = 1, as ``KeptRuns.trajectory``; its commands are ``NaN``, and its scans are for viewers."""
         robots = self.description.runs[run].robots
-        names = {f"{_ROBOT}{robot}": robot for robot in range(robots)}
+        names = {messages.robot_frame(robot): robot for robot in range(robots)}
         records: dict[float, FloatArray] = {}
         for time, transforms in _transforms(self._path):
             poses = records.setdefault(time, np.full((robots, 3), np.nan))
             for parent, child, pose in transforms:
-                if parent != WORLD or child not in names:
+                if parent != messages.WORLD or child not in names:
                     raise TriformError(f"{self.label(run)}: there is a transform from {parent} to {child}")
                 poses[names[child]] = pose
         if len(records) < 2:

@@ -115,9 +115,15 @@ def run_measure(config: MeasureConfig, listener: Listener = SILENT) -> Evaluatio
     drawn: list[tuple[Trajectory, RunSetting]] = []
     changes: list[str] = []
     tables: list[RunTable] = []
+    shown = 0
+    if config.figures is not None:
+        from triform.figures.recorded import SHOWN
+
+        shown = SHOWN
     with limit_threads(config.threads), listener.progress("measuring", len(config.files)) as advance:
         for path in config.files:
-            for recording in read_recordings(path, config.rate, config.start, config.end):
+            scans = max(0, shown - len(drawn))
+            for recording in read_recordings(path, config.rate, config.start, config.end, scans):
                 setting = config.setting(recording)
                 which = {"run": np.array([len(tables)]), "recording": np.array([recording.label])}
                 tables.append(which | measure_recording(recording, setting))

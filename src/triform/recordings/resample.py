@@ -50,7 +50,7 @@ class Recording:
 
 
 def read_recordings(
-    path: Path, rate: float | None = None, start: float = 0.0, end: float | None = None
+    path: Path, rate: float | None = None, start: float = 0.0, end: float | None = None, scans: int = 0
 ) -> list[Recording]:
     """Read all runs of a file; those that a simulation kept, and that are not cut, just as they were.
 
@@ -60,6 +60,7 @@ def read_recordings(
         rate: Records per second of an ``.npy`` file [Hz].
         start: What comes earlier after the first record of a run is left out [s].
         end: What comes later is left out [s]; nothing by default.
+        scans: Of how many runs that are read just as they were to read what their robots sensed, where it is kept.
 
     Returns:
         The runs by growing number.
@@ -71,7 +72,7 @@ def read_recordings(
         refuse_device(path)
         kept = _open_kept(path)
         if kept is not None:
-            return _read_kept(kept, start, end)
+            return _read_kept(kept, start, end, scans)
         raw = _read(path, rate)
     except (OSError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or str(error)
@@ -93,12 +94,13 @@ def _open_kept(path: Path) -> KeptRuns | None:
     return open_runs(path) if path.suffix == ".parquet" else None
 
 
-def _read_kept(kept: KeptRuns, start: float, end: float | None) -> list[Recording]:
+def _read_kept(kept: KeptRuns, start: float, end: float | None, scans: int) -> list[Recording]:
     """Read kept runs: exactly, or evened out if they are cut or a robot's odometry."""
     found = []
     exact = kept.description.source == "simulation" and start == 0 and end is None
     for number, entry in enumerate(kept.description.runs):
-        label, setting, trajectory = kept.label(number), kept.setting(number), kept.trajectory(number)
+        label, setting = kept.label(number), kept.setting(number)
+        trajectory = kept.trajectory(number, scans=exact and number < scans)
         names = [str(robot) for robot in range(entry.robots)]
         if exact:
             found.append(Recording(label, tuple(names), trajectory, (), setting, entry.measures))

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
+from triform.evaluation.metrics import RunTable
 from triform.evaluation.rollout import Trajectory
+from triform.evaluation.senses import Senses
 from triform.files import refuse_device
-from triform.recordings.description import RunSetting, Source
+from triform.recordings.description import LidarTable, RunSetting, Source
 from triform.recordings.kept import Writers, keep_runs
 from triform.report.output import plain
 from triform.robots.drive import DriveConfig
@@ -74,8 +76,9 @@ class EmulationLog:
         contacts = {"min_distance": world.min_distance, "collision": world.collided, "hit_arena": world.hit_arena}
         self._measures = {name: np.array(values) for name, values in contacts.items()}
 
-    def write(self, writer: Writers, config: EmulateConfig) -> None:
-        """Write all records as one run.
+    @property
+    def trajectory(self) -> Trajectory:
+        """All records as one run.
 
         Raises:
             TriformError: There are less than two.
@@ -83,19 +86,43 @@ class EmulationLog:
         if len(self._records) < 2:
             raise TriformError("nothing is kept, because the robots were emulated for less than two records")
         time, poses, commands = (np.array(each) for each in zip(*self._records, strict=True))
-        trajectory = Trajectory(time, poses[None], np.ones((1, *poses.shape[:2]), np.bool_), commands[None, :-1])
+        return Trajectory(time, poses[None], np.ones((1, *poses.shape[:2]), np.bool_), commands[None, :-1])
+
+    @property
+    def contacts(self) -> RunTable:
+        """Smallest distance, and contacts, in the whole world so far, one row."""
+        return dict(self._measures)
+
+    def write(self, writer: Writers, config: EmulateConfig) -> None:
+        """Write all records as one run, as ``trajectory``."""
         setting = RunSetting(config.distance, config.kind.footprint, config.surroundings)
-        writer.add(trajectory, setting, {"run": np.array([config.index]), **self._measures})
+        writer.add(self.trajectory, setting, {"run": np.array([config.index]), **self._measures})
         writer.describe(plain(asdict(config)))
 
 
-def write_drive(writer: Writers, folder: Path, config: DriveConfig) -> None:
+def with_senses(run: Trajectory, moments: FloatArray, drives: Sequence[Trajectory]) -> Trajectory:
+    """Return a run of emulated robots with what the newest step of each drive saw at every record.
+
+    Args:
+        run: The run, B = 1, N robots.
+        moments: Unix time of every record [s], shape (T,).
+        drives: What ``triform drive`` kept of each robot with its scans, by Unix time.
+    """
+    found = []
+    for each in drives:
+        steps = np.maximum(np.searchsorted(each.time, moments, side="right") - 1, 0)
+        found += [own.part(slice(None), steps) for own in each.senses]
+    return replace(run, senses=(found[0].joined(found[1:], axis=2),))
+
+
+def write_drive(writer: Writers, folder: Path, config: DriveConfig, senses: Sequence[Senses] = ()) -> None:
     """Write what ``triform drive`` recorded of one robot as one run: poses by odometry, and commands.
 
     Args:
         writer: Where to.
         folder: The recording.
         config: How the robot was driven.
+        senses: What its controller saw in every step, B = N = 1; empty if that is not kept.
 
     Raises:
         TriformError: The recording cannot be read, or has less than two steps.
@@ -115,6 +142,9 @@ def write_drive(writer: Writers, folder: Path, config: DriveConfig) -> None:
     poses, commands = np.stack(values[:3], axis=1), np.stack(values[3:], axis=1)
     known = np.asarray(np.isfinite(poses).all(axis=1))
     poses[~known] = np.nan
-    run = Trajectory(time, poses[None, :, None], known[None, :, None], commands[None, :-1, None])
-    writer.add(run, RunSetting(config.distance, config.shape, Arena.open()), {})
+    # A full disk ends the steps, and not the drive.
+    seen = tuple(each.part(slice(None), slice(len(rows))) for each in senses)
+    run = Trajectory(time, poses[None, :, None], known[None, :, None], commands[None, :-1, None], seen)
+    setting = RunSetting(config.distance, config.shape, Arena.open(), lidars=(LidarTable.of(config.driven.lidar),))
+    writer.add(run, setting, {})
     writer.describe(settings)

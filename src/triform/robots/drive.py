@@ -265,12 +265,13 @@ class DriveListener(Protocol):
         ...
 
 
-def run_drive(config: DriveConfig, listener: DriveListener) -> None:
+def run_drive(config: DriveConfig, listener: DriveListener, on_view: Callable[[View], object] | None = None) -> None:
     """Drive one robot, tell how it does, and at the end where the time went.
 
     Args:
         config: What to drive, and how.
         listener: Hears of the steps and the latencies.
+        on_view: Called with what the controller saw in every step; it may not raise while wheels turn.
 
     Raises:
         TriformError: The controller cannot be used, the LiDAR or the base is not there or is lost, or the folder of the
@@ -317,6 +318,8 @@ def run_drive(config: DriveConfig, listener: DriveListener) -> None:
                     show(step)
                     if recorder is not None:
                         recorder.add(step)
+                    if on_view is not None:
+                        on_view(step.view)
 
                 robot = RealRobot(
                     lidar,
