@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -55,10 +57,25 @@ def write_page(
                 caption.text = _caption(picture)
             film.insert_sleep(playback.period)
         page = film.as_html().replace("<title>Viser</title>", f"<title>{title}</title>")
+        page = page.replace("<head>", f"<head>{_upright(camera.position, camera.look_at)}", 1)
     finally:
         close_server(server)
     write_atomically(path, page.encode())
     return path
+
+
+def _upright(position: Sequence[float], look_at: Sequence[float]) -> str:
+    """Return a script that takes the camera farther away where the window is higher than wide, as on a phone.
+
+    A page of viser reads its camera from its own address.
+    """
+    place, target = (json.dumps([round(float(each), 4) for each in point]) for point in (position, look_at))
+    return (
+        f"<script>try {{ const place = {place}, target = {target}, aspect = innerWidth / innerHeight; "
+        "if (aspect < 1 && !location.search) { "
+        "const farther = place.map((x, k) => target[k] + (x - target[k]) / aspect); "
+        "history.replaceState(null, '', `?initialCameraPosition=${farther}`); } } catch {}</script>"
+    )
 
 
 def _caption(picture: Picture) -> str:
