@@ -28,7 +28,7 @@ _LEFT, _RIGHT, _GAP = 280, 310, 12
 _NARROW, _BELOW, _WIDE = 576, 0.46, 1000
 #: A narrow window has all its width for the panel, which viser makes 20 em wide and 60 % high.
 _SHEET = f"""<style>@media (max-width: {_NARROW}px) {{
-[style*="width: 20em"] {{ width: 100% !important; }}
+[style*="width: 20em"] {{ width: 100vw !important; }}
 [style*="max-height: 60%"] {{ max-height: {100 * _BELOW:g}% !important; }}
 }}</style>"""
 

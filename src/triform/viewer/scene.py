@@ -321,14 +321,17 @@ class Drawing:
         tips = sensing.horizon * body_to_world(np.stack([sensing.wanted, sensing.command])[:, :2], pose[2])
         ends = np.stack([np.tile(pose[:2], (2, 1)), pose[:2] + tips], axis=1)
         heights = np.broadcast_to(np.array([0.03, 0.06])[:, None, None] + ROBOT_HEIGHT, (2, 2, 1))
-        self._arrows = self._scene.add_arrows(
-            "/picked/commands",
-            np.concatenate([ends, heights], axis=2).astype(np.float32),
-            _linear(np.stack([rgb(GREY), rgb(VERMILLION)])),
-            shaft_radius=0.018,
-            head_radius=0.05,
-            head_length=0.1,
-        )
+        points = np.concatenate([ends, heights], axis=2).astype(np.float32)
+        if self._arrows is None:
+            self._arrows = self._scene.add_arrows(
+                "/picked/commands",
+                points,
+                _linear(np.stack([rgb(GREY), rgb(VERMILLION)])),
+                shaft_radius=0.018,
+                head_radius=0.05,
+                head_length=0.1,
+            )
+        self._arrows.points, self._arrows.visible = points, True
         self._hits = [
             self._show_points("hits", sensing.hits, VERMILLION, 0.03),
             self._show_points("limiting", sensing.limiting, ORANGE, 0.06),
