@@ -22,6 +22,7 @@ _TITLES = {
     "evaluation": "triform evaluate, Table I",
     "scaling": "From 100 to 100,000 robots in one world",
     "measures": "The protocol's measures on a large team",
+    "page": "The live page with 100 robots",
 }
 
 

@@ -211,6 +211,27 @@ def test_a_mixed_team_is_dragged_and_sees() -> None:
     assert session.setup.robots == 4
 
 
+def test_a_team_in_mujoco_is_changed_and_reached_into_like_the_built_in_one() -> None:
+    pytest.importorskip("mujoco")
+    session, scenario = make(robots=4, simulator="mujoco", duration=5.0), Scenario(simulator="mujoco", duration=5.0)
+    for _ in range(3):
+        session.step()
+    run, _ = scenario.run(scenario.sample_starts(4, 1, 7), "expert", 7, [0])
+    np.testing.assert_array_equal(poses(session), run.poses[0, 3])
+    session.remove(1)
+    session.drag(3, 6.0, 6.0)
+    session.release(3)
+    before = poses(session).copy()
+    session.change(range_noise=0.01)
+    assert session.picture().formation.robots.tolist() == [0, 2, 3]
+    np.testing.assert_allclose(poses(session), before, atol=1e-9)
+    np.testing.assert_allclose(before[2, :2], 6.0)
+    assert session.add(-6.0, -6.0) == 1
+    session.step()
+    assert session.sensing(1) is not None
+    assert session.problem() == ""
+
+
 def test_speeds_are_those_that_a_page_offers() -> None:
     session = make()
     for speed in SPEEDS:
@@ -230,9 +251,9 @@ def test_a_robot_sees_others_where_they_are() -> None:
     assert len(gaps) > 0
     assert (gaps < outline.circumradius + 1e-6).all()
     # The map is of the same returns: forward is up, left is left.
-    pose, cells = sensing.pose, np.argwhere(sensing.occupancy)
-    cell = 2 * sensing.half_extent / len(sensing.occupancy)
-    own = (cells + 0.5) * cell - sensing.half_extent
+    pose, reading = sensing.pose, sensing.reading
+    cells, cell = np.argwhere(reading.occupancy), reading.cell
+    own = (cells + 0.5 - len(reading.occupancy) / 2) * cell
     turn = np.array([[np.cos(pose[2]), -np.sin(pose[2])], [np.sin(pose[2]), np.cos(pose[2])]])
     world = pose[:2] + own @ turn.T
     assert np.linalg.norm(world[:, None] - sensing.hits, axis=2).min(axis=1).max() < 2.2 * cell

@@ -31,7 +31,7 @@ def test_without_viser_one_sentence_says_what_to_install(tmp_path, monkeypatch, 
         (["--which", "1"], "which and rate are of recorded runs"),
         (["--robots", "1000"], "a page shows 1 to 300"),
         (["--event", "join"], "events are made by hand"),
-        (["--simulator", "mujoco"], "built-in world"),
+        (["--simulator", "gazebo"], "built-in world or MuJoCo"),
     ],
 )
 def test_wrong_options_are_wrong_usage(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,7 @@ from triform.control.gnn import GnnController
 from triform.control.intensity import IntensityThreshold, bright_returns
 from triform.control.learned import LearnedPolicy, view_maps
 from triform.control.loop import control_steps, drive
-from triform.control.mixed import MixedController
+from triform.control.mixed import MixedController, decide
 from triform.control.orca import OrcaFilter, OrcaSettings
 from triform.control.registry import (
     CONTROLLERS,
@@ -16,7 +16,14 @@ from triform.control.registry import (
     sight_of,
     weights_folder,
 )
-from triform.control.safety import SafetyFilter, SafetySettings, limit_by_scans, reaction_time, rolling_arcs
+from triform.control.safety import (
+    SafetyFilter,
+    SafetySettings,
+    free_velocities,
+    limit_by_scans,
+    reaction_time,
+    rolling_arcs,
+)
 from triform.control.scan_pipeline import ScanPipeline
 from triform.control.sight import Sight, has_sight
 from triform.control.teacher import Teacher
@@ -45,9 +52,11 @@ __all__ = [
     "TriangulatingLaw",
     "bright_returns",
     "control_steps",
+    "decide",
     "drive",
     "expert_into",
     "expert_variant",
+    "free_velocities",
     "has_sight",
     "limit_by_scans",
     "make_controller",

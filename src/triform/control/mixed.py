@@ -45,20 +45,40 @@ class MixedController:
         Raises:
             TriformError: The robots are of other kinds.
         """
+        return self.decide(view)[1]
+
+    def decide(self, view: MixedView) -> tuple[FloatArray, FloatArray]:
+        """Return the body twists that the controllers want and those that are allowed, each of shape (B, N, 3).
+
+        Who is not due wants what he holds.
+
+        Raises:
+            TriformError: The robots are of other kinds.
+        """
         if not isinstance(view, MixedView) or len(view.parts) != len(self._controllers):
             raise TriformError(
                 f"the controller {self.description['name']!r} is made for robots of {len(self._controllers)} profiles, "
                 "and sees others"
             )
-        commands = view.held.copy()
-        wanted = None if self._everyone is None else self._everyone.command(view)
+        wanted, commands = view.held.copy(), view.held.copy()
+        everyone = None if self._everyone is None else self._everyone.command(view)
         for controller, part, robots, due in zip(self._controllers, view.parts, view.robots, view.due, strict=True):
             if not due:
                 continue
-            if wanted is None:
-                commands[:, robots] = controller.command(part)
-            elif isinstance(controller, SafetyFilter):
-                commands[:, robots] = controller.limit(part, wanted[:, robots])
+            if everyone is None:
+                wanted[:, robots], commands[:, robots] = decide(controller, part)
             else:
-                commands[:, robots] = wanted[:, robots]
-        return commands
+                wanted[:, robots] = own = everyone[:, robots]
+                commands[:, robots] = controller.limit(part, own) if isinstance(controller, SafetyFilter) else own
+        return wanted, commands
+
+
+def decide(controller: Controller[Any], view: Any) -> tuple[FloatArray, FloatArray]:
+    """Return the body twists that a controller wants and those that its safety filters allow, each of shape (B, N, 3).
+
+    Without a safety filter they are the same.
+    """
+    if isinstance(controller, SafetyFilter | MixedController):
+        return controller.decide(view)
+    commands = controller.command(view)
+    return commands, commands

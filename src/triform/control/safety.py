@@ -37,13 +37,22 @@ from typing import Any, Generic
 import numpy as np
 
 from triform.control.detection import ROBOMASTER_EP_SIZE, kernel_footprint, ray_directions
-from triform.control.safety_kernels import Arcs, SafetyRules, filter_robots, filter_rolling
+from triform.control.safety_kernels import (
+    Arcs,
+    SafetyRules,
+    filter_robots,
+    filter_rolling,
+    free_rolling_into,
+    free_speeds_into,
+)
 from triform.geometry.unicycle import Wheels
 from triform.threads import in_parts
-from triform.types import Controller, FloatArray, View, ViewIn, convert_fields, require
+from triform.types import Controller, FloatArray, IntArray, View, ViewIn, convert_fields, require
 
 #: Robots whose scans keep a thread busy for a few milliseconds.
 ROBOTS_PER_THREAD = 4000
+#: Directions around a holonomic robot in which free velocities are looked for.
+_DIRECTIONS = 120
 
 
 def reaction_time(
@@ -162,7 +171,12 @@ class SafetyFilter(Generic[ViewIn]):
 
     def command(self, view: ViewIn) -> FloatArray:
         """Return body twists, shape (B, N, 3)."""
-        return self.limit(view, self._controller.command(view))
+        return self.decide(view)[1]
+
+    def decide(self, view: ViewIn) -> tuple[FloatArray, FloatArray]:
+        """Return the body twists that the controller wants and those that are allowed, each of shape (B, N, 3)."""
+        wanted = self._controller.command(view)
+        return wanted, self.limit(view, wanted)
 
     def limit(self, view: ViewIn, wanted: FloatArray) -> FloatArray:
         """Return body twists (B, N, 3) that another controller wants, as this filter limits them."""
@@ -180,14 +194,62 @@ def limit_by_scans(view: View, wanted: FloatArray, guard: SafetySettings) -> Flo
     Returns:
         Body twists, shape (B, N, 3).
     """
-    arcs, config = guard.arcs, view.scans.config
+    arcs = guard.arcs
     commands = np.array(wanted, dtype=np.float64, order="C")
-    ranges = np.ascontiguousarray(view.scans.ranges).reshape(-1, config.rays)
+    ranges = np.ascontiguousarray(view.scans.ranges).reshape(-1, view.scans.config.rays)
     active = np.ascontiguousarray(view.active).reshape(-1)
     resting = np.zeros((len(active), 3)) if view.odometry is None else view.odometry.reshape(-1, 3)
-    body = kernel_footprint(guard.footprint)
+    law, early = _rules(view, guard), view.time < guard.reaction
+    flat = commands.reshape(-1, 3)
+
+    def limit(first: int, last: int) -> None:
+        if arcs is None:
+            filter_robots(ranges, active, law, early, flat, first, last)
+        else:
+            filter_rolling(ranges, active, law, arcs, early, resting, flat, first, last)
+
+    in_parts(limit, len(flat), len(flat), ROBOTS_PER_THREAD)
+    return commands
+
+
+def free_velocities(
+    view: View, robot: int, guard: SafetySettings, turn: float, largest: float
+) -> tuple[FloatArray, IntArray]:
+    """Return the edge of the velocities that the filter allows one robot of the first world.
+
+    Args:
+        view: What robots sense.
+        robot: Index of the robot along axis N.
+        guard: Settings of the filter.
+        turn: How fast the robot turns meanwhile [rad/s].
+        largest: Faster velocities are of no interest [m/s].
+
+    Returns:
+        In the robot's frame the largest velocities in directions all around, counter-clockwise, shape (K, 2) [m/s], or
+        of a differential base those forwards and backwards, K = 2; and the ray whose return limits each, -1 for none,
+        shape (K,).
+    """
+    arcs, law, early = guard.arcs, _rules(view, guard), view.time < guard.reaction
+    ranges = np.ascontiguousarray(view.scans.ranges[0, robot])
+    angles = np.linspace(0.0, 2 * np.pi, _DIRECTIONS if arcs is None else 2, endpoint=False)
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    speeds = np.full(len(angles), min(largest, guard.max_speed))
+    limiting = np.empty(len(angles), dtype=np.int64)
+    if arcs is None:
+        # The drive clips each axis by itself.
+        speeds = np.minimum(speeds, guard.max_axis_speed / np.abs(directions).max(axis=1))
+        free_speeds_into(ranges, law, early, turn != 0.0, angles, speeds, limiting)
+    else:
+        resting = np.zeros(3) if view.odometry is None else view.odometry[0, robot]
+        free_rolling_into(ranges, law, arcs, early, resting, turn, speeds, limiting)
+    return speeds[:, None] * directions, limiting
+
+
+def _rules(view: View, guard: SafetySettings) -> SafetyRules:
+    """Return what limits commands that rest on these scans."""
+    arcs, config, body = guard.arcs, view.scans.config, kernel_footprint(guard.footprint)
     circumradius = body.half_length if body.is_circle else math.hypot(body.half_length, body.half_width)
-    law = SafetyRules(
+    return SafetyRules(
         ray_directions(view.scans),
         config.range_min,
         config.range_max,
@@ -199,17 +261,6 @@ def limit_by_scans(view: View, wanted: FloatArray, guard: SafetySettings) -> Flo
         guard.max_axis_speed,
         guard.pace,
     )
-    early = view.time < guard.reaction
-    flat = commands.reshape(-1, 3)
-
-    def limit(first: int, last: int) -> None:
-        if arcs is None:
-            filter_robots(ranges, active, law, early, flat, first, last)
-        else:
-            filter_rolling(ranges, active, law, arcs, early, resting, flat, first, last)
-
-    in_parts(limit, len(flat), len(flat), ROBOTS_PER_THREAD)
-    return commands
 
 
 def _finite(value: Any) -> Any:

@@ -231,12 +231,12 @@ def filter_robots(ranges, active, guard, early, commands, first, last):
 
 @kernel
 def _slowest_of_returns(ranges, guard, arcs, resting, along, turn):
-    """Speed to which returns limit a robot that wants to roll ``along`` while it turns; and the least gap [m].
+    """Speed to which returns limit a robot that wants to roll ``along`` while it turns; least gap [m]; limiting ray.
 
     Of a return, what counts is how far it is from where the robot would come to rest, and how straight the robot may
     come to drive at it: its bearing from the direction of travel, less all that the robot turns meanwhile.
     """
-    limit, least = abs(along), np.inf
+    limit, least, limiting = abs(along), np.inf, -1
     ahead = 1.0 if along >= 0.0 else -1.0
     turning = arcs.slack + abs(turn) * arcs.hold
     cos, sin = np.cos(resting[2]), np.sin(resting[2])
@@ -250,8 +250,10 @@ def _slowest_of_returns(ranges, guard, arcs, resting, along, turn):
         least = min(least, gap)
         off = np.arctan2(abs(cos * y - sin * x), ahead * (cos * x + sin * y)) - turning
         if off < 0.5 * np.pi:
-            limit = min(limit, guard.rate * max(gap - guard.min_gap, 0.0) / np.cos(max(off, 0.0)))
-    return limit, least
+            bound = guard.rate * max(gap - guard.min_gap, 0.0) / np.cos(max(off, 0.0))
+            if bound < limit:
+                limit, limiting = bound, k
+    return limit, least, limiting
 
 
 @kernel
@@ -276,8 +278,50 @@ def filter_rolling(ranges, active, guard, arcs, early, resting, commands, first,
             if _is_blind(ranges[m], early):
                 along, turn = 0.0, 0.0
             else:
-                limit, least = _slowest_of_returns(ranges[m], guard, arcs, resting[m], along, turn)
+                limit, least, _ = _slowest_of_returns(ranges[m], guard, arcs, resting[m], along, turn)
                 along = min(max(along, -limit), limit)
                 if least <= 0.0 and not guard.body.is_circle:
                     turn = 0.0
         commands[m, 0], commands[m, 1], commands[m, 2] = along, 0.0, turn
+
+
+@kernel
+def free_speeds_into(ranges, guard, early, turning, angles, speeds, limiting):
+    """Write how fast a holonomic robot may go straight along each angle, up to the speeds given.
+
+    Args:
+        ranges: Newest scan [m], shape (R,).
+        guard: ``SafetyRules``.
+        early: Whether the scan may still be missing because the run has just begun.
+        turning: Whether the robot turns meanwhile.
+        angles: Directions in the robot's frame [rad], shape (K,).
+        speeds: Largest speeds that are of interest [m/s], shape (K,); overwritten by what is allowed of them.
+        limiting: To fill: the ray whose return limits the speed, -1 for none, shape (K,).
+    """
+    limiting[:] = -1
+    if _is_blind(ranges, early):
+        speeds[:] = 0.0
+        return
+    body = Body(guard.circumradius, guard.circumradius, True) if turning else guard.body
+    for k in range(ranges.shape[0]):
+        distance = _confirmed(ranges, k, guard.range_min, guard.range_max)
+        if distance == np.inf:
+            continue
+        gap, n_x, n_y = gap_along(distance, guard.directions[k, 0], guard.directions[k, 1], body)
+        bound = guard.rate * max(gap - guard.min_gap, 0.0)
+        for j in range(angles.shape[0]):
+            towards = n_x * np.cos(angles[j]) + n_y * np.sin(angles[j])
+            if speeds[j] * towards > bound:
+                speeds[j], limiting[j] = bound / towards, k
+
+
+@kernel
+def free_rolling_into(ranges, guard, arcs, early, resting, turn, speeds, limiting):
+    """As ``free_speeds_into`` for a differential base that turns: ``speeds`` forwards and backwards, shape (2,)."""
+    limiting[:] = -1
+    if _is_blind(ranges, early):
+        speeds[:] = 0.0
+        return
+    for j in range(2):
+        along = speeds[j] if j == 0 else -speeds[j]
+        speeds[j], _, limiting[j] = _slowest_of_returns(ranges, guard, arcs, resting, along, turn)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -54,6 +54,9 @@ from triform.types import (
     convert_fields,
     require,
 )
+
+if TYPE_CHECKING:
+    from triform.simulators.mujoco import MujocoTeam
 
 SimulatorName = Literal["builtin", "mujoco", "gazebo"]
 SIMULATORS: tuple[SimulatorName, ...] = ("builtin", "mujoco", "gazebo")
@@ -327,6 +330,19 @@ class Scenario:
         self._refuse_blocked(blocked_starts(world), world.active.shape[1])
         return world
 
+    def make_team(self, poses: FloatArray, seeds: list[np.random.SeedSequence]) -> World | MujocoTeam:
+        """Put robots at ``poses`` (B, N, 3) into B built-in worlds, or into MuJoCo's, with their own noise.
+
+        Raises:
+            ConfigurationError: The arena has no place for a start.
+        """
+        if self.simulator == "builtin":
+            return self.make_world(poses, seeds)
+        from triform.simulators.mujoco import MujocoTeam
+
+        self.check_starts(poses)
+        return MujocoTeam(poses, self.robot, self.surroundings, seeds, self.base)
+
     def check_starts(self, poses: FloatArray) -> None:
         """Make sure that the arena has a place for all starts (runs, N, 3), before the first of them is run.
 
@@ -370,15 +386,10 @@ class Scenario:
         self, poses: FloatArray, seeds: list[np.random.SeedSequence]
     ) -> Iterator[tuple[slice, SimulatedTeam]]:
         """Yield which of the B runs, and their worlds: all at once or, in Gazebo, one after another."""
-        if self.simulator == "builtin":
-            yield slice(0, len(poses)), self.make_world(poses, seeds)
+        if self.simulator != "gazebo":
+            yield slice(0, len(poses)), self.make_team(poses, seeds)
             return
         self.check_starts(poses)
-        if self.simulator == "mujoco":
-            from triform.simulators.mujoco import MujocoTeam
-
-            yield slice(0, len(poses)), MujocoTeam(poses, self.robot, self.surroundings, seeds, self.base)
-            return
         spare, step = int(self.event is not None and self.event.kind == "join"), GAZEBO_STEPS[self.base]
         robots, base = poses.shape[1], self.base
         with GazeboServer(self.robot, self.surroundings, robots, drive=base, time_step=step, spare=spare) as server:

@@ -148,19 +148,24 @@ def edge_colours(lengths: FloatArray, distance: float) -> Colours:
     return np.round(colours).astype(np.uint8)
 
 
-def map_colours(occupancy: MapArray, patch: int) -> Colours:
+def map_colours(occupancy: MapArray, patch: int, attention: FloatArray | None = None) -> Colours:
     """Return the picture of an occupancy map (H, W) with forward up and left left, shape (H, W, 3).
 
     Cells that hold something are dark, and light blue the patches of ``patch`` x ``patch`` cells that hold any, which
-    are all that a network sees; it has none if ``patch`` is 0.
+    are all that a network sees; it has none if ``patch`` is 0. The more of its ``attention`` (H / patch, W / patch) a
+    patch gets, the darker its blue.
     """
     size = len(occupancy)
     image = np.full((size, size, 3), 255, dtype=np.uint8)
     if patch:
         whole = size // patch * patch
         blocks = occupancy[:whole, :whole].reshape(whole // patch, patch, whole // patch, patch)
-        held = np.kron(blocks.any(axis=(1, 3)), np.ones((patch, patch), dtype=np.bool_))
-        image[:whole, :whole][held] = rgb(HELD)
+        held: BoolArray = np.any(blocks, axis=(1, 3))
+        shades = np.where(held[..., None], rgb(HELD), 255)
+        if attention is not None:
+            share = (0.08 + 0.92 * attention / max(float(attention.max()), 1e-9)) * held
+            shades = np.round(255 - share[..., None] * (255.0 - rgb(BLUE)))
+        image[:whole, :whole] = np.kron(shades, np.ones((patch, patch, 1))).astype(np.uint8)
     image[occupancy > 0] = rgb(INK)
     return image[::-1, ::-1]
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from triform.kernels import kernel
 from triform.threads import in_parts
-from triform.types import FloatArray, MapArray, MapConfig, Scan, ScanConfig
+from triform.types import FloatArray, IntArray, MapArray, MapConfig, Scan, ScanConfig
 
 # Bits of a cell of the working grid.
 _MARKED = 1
@@ -167,6 +167,41 @@ def _maps(ranges, moved, cos, sin, rules, out, first, last):
         kept = occupied_into(ranges[m], moved[m], cos, sin, rules, workspace)
         for q in range(kept):
             out[m, cells[q] // size, cells[q] % size] = 1
+
+
+@kernel
+def _label(occupancy, labels):
+    size = occupancy.shape[0]
+    stride = size + 2
+    grid = map_workspace(size).grid
+    for i in range(size):
+        for j in range(size):
+            if occupancy[i, j]:
+                grid[i + 1, j + 1] = _MARKED
+    flat = grid.reshape(stride * stride)
+    queue = np.empty(size * size, dtype=np.int32)
+    groups = 0
+    for i in range(size):
+        for j in range(size):
+            if occupancy[i, j] and labels[i, j] == 0:
+                groups += 1
+                for q in range(_flood(flat, stride, (i + 1) * stride + j + 1, queue)):
+                    labels[queue[q] // stride - 1, queue[q] % stride - 1] = groups
+    return groups
+
+
+def label_groups(occupancy: MapArray) -> tuple[IntArray, int]:
+    """Return the 4-connected groups of occupied cells, as Algorithm 3 finds them.
+
+    Args:
+        occupancy: A square map, shape (H, H).
+
+    Returns:
+        The number of every cell's group, counted from 1 row by row and 0 where nothing is, shape (H, H); and how many
+        groups there are.
+    """
+    labels = np.zeros(occupancy.shape, dtype=np.int64)
+    return labels, _label(np.ascontiguousarray(occupancy), labels)
 
 
 def occupancy_maps(scan: Scan, config: MapConfig, odometry: FloatArray | None = None) -> MapArray:

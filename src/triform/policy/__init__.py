@@ -19,9 +19,11 @@ from triform.policy.config import (
 from triform.policy.gnn_runtime import GnnRuntime
 from triform.policy.packing import Keep, PackedMaps, append_patches, pack
 from triform.policy.radius_graph import RadiusGraph, hear
+from triform.policy.reading import AttentionReader
 from triform.policy.runtime import PolicyRuntime
 
 __all__ = [
+    "AttentionReader",
     "CnnConfig",
     "GnnConfig",
     "GnnRuntime",

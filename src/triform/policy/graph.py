@@ -13,9 +13,7 @@ graph points there, so that a policy's weights exist once.
 
 from __future__ import annotations
 
-import json
 import math
-import struct
 from typing import Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from onnx import TensorProto, helper, numpy_helper
 from onnx.external_data_helper import set_external_data
 
 from triform.policy.config import Network, NetworkConfig
+from triform.policy.tensors import tensor_table
 from triform.types import TriformError
 
 #: Of ONNX's operators; the first with ``Attention``.
@@ -37,9 +36,7 @@ class Graph:
     """Nodes and tensors of a graph under construction; every method returns the name of a tensor."""
 
     def __init__(self, weights: bytes, file_name: str) -> None:
-        (length,) = struct.unpack_from("<Q", weights)
-        self._header: dict[str, Any] = json.loads(weights[8 : 8 + length])
-        self._data_start = 8 + length
+        self._header, self._data_start = tensor_table(weights)
         self._file_name = file_name
         self.nodes: list[onnx.NodeProto] = []
         self.tensors: dict[str, onnx.TensorProto] = {}

@@ -6,11 +6,11 @@ from typing import Any
 
 import viser
 
-from triform.figures.sensing import Sensing
 from triform.viewer.formation import Picture
 from triform.viewer.page import Page, Stage
 from triform.viewer.playback import Playback
 from triform.viewer.plots import text_html
+from triform.viewer.sensing import Sensing
 
 
 class FilmPage(Page):

@@ -84,6 +84,7 @@ class Course(NamedTuple):
         shortest: Length of the shortest edge [m].
         median: Median length of the edges [m].
         longest: Length of the longest edge [m].
+        compactness: Edges over the most that a team of this size can have.
     """
 
     time: FloatArray
@@ -92,6 +93,7 @@ class Course(NamedTuple):
     shortest: FloatArray
     median: FloatArray
     longest: FloatArray
+    compactness: FloatArray
 
     @classmethod
     def of(cls, rows: list[FloatArray]) -> Course:
@@ -100,10 +102,10 @@ class Course(NamedTuple):
 
 
 def course_row(formation: Formation) -> FloatArray:
-    """Return what a plot shows of a moment, shape (6,)."""
+    """Return what a plot shows of a moment, shape (7,)."""
     lengths = formation.lengths
     edges = np.quantile(lengths, [0.0, 0.5, 1.0]) if len(lengths) else np.full(3, np.nan)
-    return np.array([formation.time, formation.error, formation.strict, *edges])
+    return np.array([formation.time, formation.error, formation.strict, *edges, formation.compactness])
 
 
 def between(before: FloatArray, after: FloatArray, share: float) -> FloatArray:

@@ -11,15 +11,17 @@ import viser
 
 from triform.control import CONTROLLERS, shipped_weights
 from triform.control.user import installed_controllers
-from triform.figures.sensing import Sensing
 from triform.policy import read_spec
 from triform.simulation import ARENAS, PROFILES
 from triform.viewer.formation import Picture
 from triform.viewer.page import Page, Stage, floor_point
-from triform.viewer.plots import map_image, sensing_html, text_html
+from triform.viewer.plots import map_html, map_image, sensing_html, text_html
+from triform.viewer.sensing import Sensing
 from triform.viewer.session import Session
 
 _NOBODY = "none"
+#: Gap of the panel of a picked robot to the upper edge of the window [pixels].
+_ABOVE = 12
 _NOISES: dict[str, float | None] = {"of the profile": None, "none": 0.0, "1 cm": 0.01, "3 cm": 0.03, "10 cm": 0.1}
 
 
@@ -58,8 +60,12 @@ class LivePage(Page):
             self._remove = gui.add_button("Remove the picked robot", icon="minus", disabled=True)
             self._help = gui.add_html(text_html("Click a robot to see what it sees; drag it away and let go."))
             self._pick = gui.add_dropdown("picked", (_NOBODY, *map(str, range(setup.robots))))
-            self._told = gui.add_html("", visible=False)
-            self._map = gui.add_image(np.full((3, 3, 3), 255, dtype=np.uint8), label="its map", visible=False)
+        self._robot, tab = self._add_panel("What it sees", "eye", y=_ABOVE)
+        self._robot.visible = False
+        with tab:
+            self._told = gui.add_html("")
+            self._map = gui.add_image(np.full((3, 3, 3), 255, dtype=np.uint8), format="png")
+            self._map_told = gui.add_html("")
         add.on_click(lambda _: self._arm(not self._adding))
         self._remove.on_click(lambda event: self._remove_picked(event.client))
 
@@ -117,8 +123,10 @@ class LivePage(Page):
         """Pick a robot, or none."""
         self._picked = robot
         self._remove.disabled = robot is None
-        self._told.visible = robot is not None
-        self._map.visible = robot is not None
+        if self._robot.visible != (robot is not None):
+            self._robot.visible = robot is not None
+            # Low windows have no height for both at the left; people open what they like again.
+            (self._under.expand if robot is None else self._under.minimize)()
         shown = _NOBODY if robot is None else str(robot)
         if shown in self._pick.options:
             self._pick.value = shown
@@ -161,8 +169,11 @@ class LivePage(Page):
         if sensing is None or self._picked is None:
             return
         self._told.content = sensing_html(self._picked, sensing)
-        if sensing.occupancy is not None:
-            self._map.image = map_image(sensing, self.drawing.colours(picture.trail.shape[1])[self._picked])
+        reading = sensing.reading
+        self._map.visible = self._map_told.visible = reading is not None
+        if reading is not None:
+            self._map.image = map_image(reading, self.drawing.colours(picture.trail.shape[1])[self._picked])
+            self._map_told.content = map_html(reading)
 
 
 def _controllers() -> list[str]:

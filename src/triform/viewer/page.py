@@ -9,19 +9,28 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import viser
 
-from triform.figures.sensing import Sensing
 from triform.figures.style import BLUE, rgb
 from triform.simulation import Arena, Footprint, Profile
 from triform.types import TriformError
 from triform.viewer.formation import Course, Picture
 from triform.viewer.plots import Plots, legend_html, status_html
-from triform.viewer.scene import FIELD_OF_VIEW, Drawing, view_of
+from triform.viewer.scene import FIELD_OF_VIEW, Drawing, Margins, view_of
+from triform.viewer.sensing import Sensing
 from triform.viewer.session import SPEEDS
 
 #: Pictures and numbers per second.
 _PICTURES, _NUMBERS = 25.0, 3.0
 #: How long a refusal stays [s].
 _SHOWN = 8.0
+#: Widths of the panels and their gap to the edge of the window [pixels].
+_LEFT, _RIGHT, _GAP = 280, 310, 12
+#: Windows that are not wider have panels below, over a share of them, and others only one at the right [pixels].
+_NARROW, _BELOW, _WIDE = 576, 0.46, 1000
+#: A narrow window has all its width for the panel, which viser makes 20 em wide and 60 % high.
+_SHEET = f"""<style>@media (max-width: {_NARROW}px) {{
+[style*="width: 20em"] {{ width: 100vw !important; }}
+[style*="max-height: 60%"] {{ max-height: {100 * _BELOW:g}% !important; }}
+}}</style>"""
 
 
 class Source(Protocol):
@@ -95,13 +104,23 @@ class Page:
             control_layout="floating", show_logo=False, show_share_button=False, brand_color=(red, green, blue)
         )
         self.drawing = self._new_drawing()
+        server.gui.add_html(_SHEET)
+        server.gui.main_panel.float(x=-_GAP, y=_GAP, width=_RIGHT)
         self._status = server.gui.add_html("")
         self._add_clock()
         self._build()
-        with server.gui.add_folder("Plots"):
-            self._plots = Plots(server.gui, stage.distance)
         server.gui.add_html(legend_html())
+        self._under, plots = self._add_panel("Plots", "chart-line", y=-_GAP)
+        with plots:
+            self._plots = Plots(server.gui, stage.distance)
         server.on_client_connect(self._aim)
+
+    def _add_panel(self, title: str, icon: viser.IconName, y: float) -> tuple[viser.PanelHandle, viser.GuiTabHandle]:
+        """Add a panel at the left, at a height [pixels] from above, or a negative one from below."""
+        panel = self._server.gui.add_panel()
+        tab = panel.add_tab(title, icon)
+        panel.float(x=_GAP, y=y, width=_LEFT)
+        return panel, tab
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Draw until there is reason to stop."""
@@ -171,9 +190,10 @@ class Page:
         poses = self._source.picture().poses
         camera = client.camera
         camera.fov = FIELD_OF_VIEW
-        # The panel covers the right of wide windows.
-        aside = 0.13 if camera.aspect > 1.2 else 0.0
-        camera.position, camera.look_at = view_of(poses[:, :2], self._stage.arena, camera.aspect, aside=aside)
+        width = camera.image_width
+        left, right = (_LEFT + _GAP) * (width > _WIDE), (_RIGHT + _GAP) * (width > _NARROW)
+        margins = Margins(left / width, right / width, 0.0 if width > _NARROW else _BELOW)
+        camera.position, camera.look_at = view_of(poses[:, :2], self._stage.arena, camera.aspect, margins)
 
     def _build(self) -> None:
         """Add what this kind of page has besides."""

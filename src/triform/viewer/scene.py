@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from triform.figures.sensing import Sensing
 from triform.figures.style import (
     CLOSED,
+    GREY,
     INK,
     OPEN,
+    ORANGE,
+    PURPLE,
     VERMILLION,
     Colours,
     bounds,
@@ -22,15 +26,14 @@ from triform.geometry import body_to_world
 from triform.simulation import Arena, Footprint, Profile
 from triform.types import FloatArray
 from triform.viewer.formation import Formation, Picture
+from triform.viewer.sensing import Sensing
 from triform.viewer.shapes import ROBOT_HEIGHT, Mesh, arena_mesh, body_mesh, heading_mesh, wheels_mesh
 
 #: Heights at which flat things are drawn, so that none flickers through another [m].
-_TRIANGLES, _TRAILS, _EDGES, _RING, _HITS = 0.004, 0.008, 0.05, 0.012, 0.1
+_FLOOR, _TRIANGLES, _TRAILS, _EDGES, _RING, _HITS, _FREE = -0.02, 0.01, 0.02, 0.05, 0.06, 0.1, 0.14
 #: A robot that seems to move farther than this between two records was put elsewhere [m].
 _JUMP = 0.3
 _RING_POINTS = 96
-#: How far a robot comes in the time that its arrow shows [s].
-_ARROW_TIME = 1.0
 
 
 def _linear(colours: Colours) -> Colours:
@@ -52,27 +55,39 @@ class _Lines:
         if handle is None or len(handle.points) != len(drawn):
             if len(drawn):
                 self._handle = self._scene.add_line_segments(self._name, drawn, colours, thickness=self._thickness)
-            elif handle is not None:
-                handle.visible = False
+            else:
+                self.hide()
             return
         handle.visible = True
         handle.points = drawn
         if not np.array_equal(handle.colors, colours):
             handle.colors = colours
 
+    def draw(self, flat: FloatArray, height: float, colour: Colours) -> None:
+        """Draw segments (K, 2, 2) [m] of one colour at one height [m]."""
+        points = np.concatenate([flat, np.full((*flat.shape[:2], 1), height)], axis=2)
+        self.show(points, np.tile(colour, (len(flat), 2, 1)))
+
+    def hide(self) -> None:
+        """Draw none."""
+        if self._handle is not None:
+            self._handle.visible = False
+
 
 class _Triangles:
     """Flat triangles whose number changes."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, colour: str, opacity: float) -> None:
-        self._scene, self._name, self._colour, self._opacity = scene, name, rgb(colour), opacity
+    def __init__(
+        self, scene: viser.SceneApi, name: str, colour: str, opacity: float, height: float = _TRIANGLES
+    ) -> None:
+        self._scene, self._name, self._colour, self._opacity, self._height = scene, name, rgb(colour), opacity, height
         self._handle: viser.MeshHandle | None = None
 
     def show(self, corners: FloatArray) -> None:
         """Draw triangles (K, 3, 2) [m]; none are hidden."""
         handle, count = self._handle, len(corners)
         flat = corners.reshape(-1, 2)
-        vertices = np.column_stack([flat, np.full(len(flat), _TRIANGLES)]).astype(np.float32)
+        vertices = np.column_stack([flat, np.full(len(flat), self._height)]).astype(np.float32)
         if handle is not None and len(handle.vertices) == len(vertices):
             handle.visible = True
             handle.vertices = vertices
@@ -190,6 +205,7 @@ class Drawing:
             plane_color=(255, 255, 255),
             plane_opacity=1.0,
             infinite_grid=True,
+            position=(0.0, 0.0, _FLOOR),
             fade_distance=60.0,
             shadow_opacity=0.16,
         )
@@ -198,13 +214,17 @@ class Drawing:
             scene.add_mesh_simple(
                 "/arena", mesh.vertices, mesh.faces, color=(150, 150, 150), flat_shading=True, side="double"
             )
-        self._trails = _Lines(scene, "/trails", 0.018)
+        self._trails = _Lines(scene, "/trails", 0.03)
         self._edges = _Lines(scene, "/edges", 0.03)
         self._closed = _Triangles(scene, "/triangles/closed", *CLOSED)
         self._open = _Triangles(scene, "/triangles/open", *OPEN)
-        self._ring = _Lines(scene, "/picked/reach", 0.015)
-        self._arrow = _Lines(scene, "/picked/command", 0.04)
-        self._hits: viser.PointCloudHandle | None = None
+        self._ring = _Lines(scene, "/picked/reach", 0.025)
+        self._groups = _Lines(scene, "/picked/groups", 0.02)
+        self._neighbours = _Lines(scene, "/picked/neighbours", 0.05)
+        self._edge_of_free = _Lines(scene, "/picked/free/edge", 0.02)
+        self._free = _Triangles(scene, "/picked/free", ORANGE, 0.3, _FREE)
+        self._arrows: viser.ArrowsHandle | None = None
+        self._hits: list[viser.PointCloudHandle] = []
         self._kinds: dict[Footprint, _Kind] = {}
         self.bodies: list[tuple[viser.BatchedMeshHandle, NDArray[np.int64]]] = []
 
@@ -273,30 +293,76 @@ class Drawing:
     def _show_sensing(
         self, sensing: Sensing | None, formation: Formation, poses: FloatArray, picked: int | None, colours: Colours
     ) -> None:
-        """Draw how far a robot looks, what its LiDAR hit, and its command."""
+        """Draw how far a robot looks, what its LiDAR hit, what the network takes for a neighbour, and its command."""
         row = np.flatnonzero(formation.robots == (-1 if picked is None else picked))
+        for handle in self._hits:
+            handle.visible = False
         if sensing is None or len(row) == 0:
-            none, no_colour = np.zeros((0, 2, 3)), np.zeros((0, 2, 3), dtype=np.uint8)
-            self._ring.show(none, no_colour)
-            self._arrow.show(none, no_colour)
-            if self._hits is not None:
-                self._hits.visible = False
+            for lines in (self._ring, self._groups, self._neighbours, self._edge_of_free):
+                lines.hide()
+            self._free.show(np.zeros((0, 3, 2)))
+            if self._arrows is not None:
+                self._arrows.visible = False
             return
         pose, colour = poses[row[0]], colours[picked]
-        angle = np.linspace(0, 2 * np.pi, _RING_POINTS + 1)
-        circle = pose[:2] + sensing.reach * np.column_stack([np.cos(angle), np.sin(angle)])
-        circle = np.column_stack([circle, np.full(len(circle), _RING)])
-        self._ring.show(np.stack([circle[:-1], circle[1:]], axis=1), np.tile(colour, (_RING_POINTS, 2, 1)))
-        tip = pose[:2] + _ARROW_TIME * body_to_world(sensing.command[None, :2], pose[2])[0]
-        arrow = np.array([[[*pose[:2], ROBOT_HEIGHT + 0.03], [*tip, ROBOT_HEIGHT + 0.03]]])
-        self._arrow.show(arrow, np.tile(rgb(VERMILLION), (1, 2, 1)))
-        points = np.column_stack([sensing.hits, np.full(len(sensing.hits), _HITS)]).astype(np.float32)
-        red, green, blue = _linear(rgb(VERMILLION)).tolist()
-        self._hits = self._scene.add_point_cloud(
-            "/picked/hits",
-            points,
+        self._ring.draw(_circle(pose[:2], sensing.reach), _RING, colour)
+        self._show_groups(sensing)
+        self._show_limits(sensing, pose)
+        tips = sensing.horizon * body_to_world(np.stack([sensing.wanted, sensing.command])[:, :2], pose[2])
+        ends = np.stack([np.tile(pose[:2], (2, 1)), pose[:2] + tips], axis=1)
+        heights = np.broadcast_to(np.array([0.03, 0.06])[:, None, None] + ROBOT_HEIGHT, (2, 2, 1))
+        points = np.concatenate([ends, heights], axis=2).astype(np.float32)
+        if self._arrows is None:
+            self._arrows = self._scene.add_arrows(
+                "/picked/commands",
+                points,
+                _linear(np.stack([rgb(GREY), rgb(VERMILLION)])),
+                shaft_radius=0.018,
+                head_radius=0.05,
+                head_length=0.1,
+            )
+        self._arrows.points, self._arrows.visible = points, True
+        self._hits = [
+            self._show_points("hits", sensing.hits, VERMILLION, 0.03),
+            self._show_points("limiting", sensing.limiting, ORANGE, 0.06),
+        ]
+
+    def _show_groups(self, sensing: Sensing) -> None:
+        """Draw rings around groups of cells, thick ones around what the network takes for neighbours."""
+        groups = None if sensing.reading is None else sensing.reading.groups
+        if groups is None:
+            self._groups.hide()
+            self._neighbours.hide()
+            return
+        centres = sensing.pose[:2] + body_to_world(groups.centres, sensing.pose[2])
+        rings = [_circle(centre, radius + 0.12) for centre, radius in zip(centres, groups.radii, strict=True)]
+        for lines, chosen, colour in (
+            (self._groups, ~groups.neighbours, GREY),
+            (self._neighbours, groups.neighbours, PURPLE),
+        ):
+            some = [ring for ring, one in zip(rings, chosen, strict=True) if one]
+            lines.draw(np.concatenate([np.zeros((0, 2, 2)), *some]), _RING, rgb(colour))
+
+    def _show_limits(self, sensing: Sensing, pose: FloatArray) -> None:
+        """Draw where the safety filter lets a robot be in the time of an arrow."""
+        if sensing.free is None:
+            self._free.show(np.zeros((0, 3, 2)))
+            self._edge_of_free.hide()
+            return
+        edge = pose[:2] + sensing.horizon * body_to_world(sensing.free, pose[2])
+        sides = np.stack([edge, np.roll(edge, -1, axis=0)], axis=1)
+        middle = np.broadcast_to(pose[:2], (len(edge), 1, 2))
+        self._free.show(np.concatenate([middle, sides], axis=1))
+        self._edge_of_free.draw(sides, _FREE, rgb(ORANGE))
+
+    def _show_points(self, name: str, points: FloatArray, colour: str, size: float) -> viser.PointCloudHandle:
+        """Draw points (K, 2) [m]."""
+        red, green, blue = _linear(rgb(colour)).tolist()
+        return self._scene.add_point_cloud(
+            f"/picked/{name}",
+            np.column_stack([points, np.full(len(points), _HITS)]).astype(np.float32),
             (red, green, blue),
-            point_size=0.03,
+            point_size=size,
             point_shape="circle",
             point_shading="flat",
             precision="float32",
@@ -304,24 +370,47 @@ class Drawing:
         )
 
 
+def _circle(middle: FloatArray, radius: float) -> FloatArray:
+    """Return a circle as segments (K, 2, 2) [m]."""
+    angle = np.linspace(0, 2 * np.pi, _RING_POINTS + 1)
+    points = middle + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.stack([points[:-1], points[1:]], axis=1)
+
+
 #: Angle of view of cameras, top to bottom [rad]; a small one keeps distances comparable over the picture.
 FIELD_OF_VIEW = 0.6
 
 
+class Margins(NamedTuple):
+    """Shares of a window that panels cover."""
+
+    left: float = 0.0
+    right: float = 0.0
+    bottom: float = 0.0
+
+
+#: Nothing is covered.
+UNCOVERED = Margins()
+
+
 def view_of(
-    points: FloatArray, arena: Arena, aspect: float = 1.0, tilt: float = 0.3, aside: float = 0.0
+    points: FloatArray, arena: Arena, aspect: float = 1.0, margins: Margins = UNCOVERED, tilt: float = 0.3
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Return where a camera sees all, and what it looks at [m].
 
     Args:
         points: What is to be seen besides the arena [m], shape (..., 2).
         arena: Walls and pillars.
-        aspect: Width of the picture over its height.
+        aspect: Width of the window over its height.
+        margins: What of the window is covered.
         tilt: How far the camera is before the middle, over how high.
-        aside: Share of the picture's width by which all is moved to the left.
     """
     middle, half = bounds(points, arena, margin=0.8)
-    height = float(half / (np.tan(FIELD_OF_VIEW / 2) * min(1.0, aspect)))
+    free_height, free_width = 1.0 - margins.bottom, aspect * (1.0 - margins.left - margins.right)
+    # Half the height that the window shows, of which the free part holds all.
+    seen = float(half / min(free_height, free_width))
+    height = seen / float(np.tan(FIELD_OF_VIEW / 2))
     x, y = middle.tolist()
-    x += aside * aspect * 2 * height * float(np.tan(FIELD_OF_VIEW / 2))
+    x += (margins.right - margins.left) * aspect * seen
+    y -= margins.bottom * seen
     return (x, y - tilt * height, height), (x, y, 0.0)

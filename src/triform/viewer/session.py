@@ -7,25 +7,33 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from triform.control import ControllerSpec
+from triform.control import ControllerSpec, decide
 from triform.evaluation.scenario import Scenario
-from triform.figures.sensing import Sensing, least_intensity, sense
 from triform.simulation import Footprint, World, world_seeds
 from triform.threads import limit_threads
 from triform.types import Controller, FloatArray, PrivilegedView, TriformError, convert_fields, require
 from triform.viewer.formation import TRAIL, Course, Formation, Picture, between, course_row, earlier_poses, stacked
+from triform.viewer.sensing import Sensing, sense
+
+if TYPE_CHECKING:
+    from triform.simulators.mujoco import MujocoTeam
 
 #: Plots go back so far [s].
 _MEMORY = 60.0
 #: A simulation that is later than this gives up catching up [s].
 _LATEST = 0.2
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+#: Distance between robots that are about to leave MuJoCo [m].
+_APART = 1000.0
 #: A page for more robots is no picture.
 MOST_ROBOTS = 300
+
+#: What the team saw last, which body twists its controller wanted, and which it got.
+_Seen = tuple[PrivilegedView, FloatArray, FloatArray]
 
 
 def check_speed(speed: float) -> None:
@@ -58,8 +66,8 @@ class Setup:
         require(1 <= self.robots <= MOST_ROBOTS, f"robots is {self.robots}; a page shows 1 to {MOST_ROBOTS}")
         require(self.seed >= 0, f"seed is {self.seed}; it must not be negative")
         require(
-            self.scenario.simulator == "builtin" and self.scenario.event is None,
-            "a live page has the built-in world, and events are made by hand: drag, add or remove a robot",
+            self.scenario.simulator != "gazebo" and self.scenario.event is None,
+            "a live page has the built-in world or MuJoCo, and events are made by hand: drag, add or remove a robot",
         )
 
     def changed(self, **changes: Any) -> Setup:
@@ -103,6 +111,7 @@ class Session:
         self._paused, self._stopped = False, False
         self._speed = 1.0
         self._problem = ""
+        self._sensed: tuple[_Seen, int, Sensing] | None = None
         self._shown: tuple[Formation, FloatArray, float, FloatArray]
         self._thread = threading.Thread(target=self._run, name="triform-session", daemon=True)
         self._begin(setup, setup.scenario.make_controller(setup.controller), self._new_world(setup), 0.0)
@@ -194,12 +203,14 @@ class Session:
 
     def sensing(self, robot: int) -> Sensing | None:
         """Return what a robot sees, and its command; ``None`` if there is no such robot."""
-        view, commands = self._seen
+        seen, setup = self._seen, self._setup
+        view, wanted, commands = seen
         if not (0 <= robot < view.active.shape[1] and view.active[0, robot]):
             return None
-        scenario = self._setup.scenario
-        least = least_intensity(scenario.team, robot, view.active.shape[1])
-        return sense(view, commands, robot, self._setup.controller, scenario.distance, least)
+        known = self._sensed
+        if known is None or known[0] is not seen or known[1] != robot:
+            self._sensed = known = seen, robot, sense(view, wanted, commands, robot, setup.controller, setup.scenario)
+        return known[2]
 
     def problem(self) -> str:
         """Return why the team stopped, once; empty if it did not."""
@@ -229,17 +240,14 @@ class Session:
             controller = self._controller
             if (scenario, new.controller) != (old, self._setup.controller):
                 controller = scenario.make_controller(new.controller)
+            world: World | MujocoTeam
             world, began = self._world, self._began
             if (new.robots, new.seed, scenario.profile, scenario.arena) != (
                 self._setup.robots, self._setup.seed, old.profile, old.arena,
             ):  # fmt: skip
                 world, began = self._new_world(new), 0.0
             elif scenario != old:
-                seeds = world_seeds(new.robots, new.seed, [0])
-                placed = np.nan_to_num(world.poses)
-                world, began = (
-                    World(placed, scenario.team, scenario.surroundings, seeds, world.active), began + world.time
-                )  # fmt: skip
+                world, began = self._same_places(new), began + world.time
             self._begin(new, controller, world, began)
             self._condition.notify_all()
 
@@ -298,21 +306,36 @@ class Session:
         with self._condition:
             self._held.discard(robot)
 
-    def _new_world(self, setup: Setup) -> World:
+    def _new_world(self, setup: Setup) -> World | MujocoTeam:
         scenario = setup.scenario
         poses = scenario.sample_starts(setup.robots, 1, setup.seed)
-        return scenario.make_world(poses, world_seeds(setup.robots, setup.seed, [0]))
+        return scenario.make_team(poses, world_seeds(setup.robots, setup.seed, [0]))
 
-    def _begin(self, setup: Setup, controller: Controller[Any], world: World, began: float) -> None:
+    def _same_places(self, setup: Setup) -> World | MujocoTeam:
+        """Return another world with the robots at rest where they are."""
+        scenario, old = setup.scenario, self._world
+        seeds, active = world_seeds(setup.robots, setup.seed, [0]), old.active
+        if isinstance(old, World):
+            return World(np.nan_to_num(old.poses), scenario.team, scenario.surroundings, seeds, active)
+        # Bodies in MuJoCo are solid: those that are to go stand apart until they do.
+        apart = np.column_stack([_APART * np.arange(1.0, active.shape[1] + 1), *2 * [np.zeros(active.shape[1])]])
+        placed = np.where(active[..., None], old.poses, apart)
+        world = type(old)(placed, scenario.robot, scenario.surroundings, seeds, scenario.base)
+        for robot in np.flatnonzero(~active[0]).tolist():
+            world.remove_robot(0, robot)
+        return world
+
+    def _begin(self, setup: Setup, controller: Controller[Any], world: World | MujocoTeam, began: float) -> None:
         """Go on with another world or controller, once it is known that the controller can steer it."""
         view = world.observe()
-        commands = np.array(controller.command(view))
+        wanted, commands = map(np.array, decide(controller, view))
         if began == 0.0 and world.time == 0.0:
             self._course: deque[FloatArray] = deque(maxlen=max(2, round(_MEMORY / world.control_period)))
             self._trail: deque[FloatArray] = deque(maxlen=max(2, round(TRAIL / world.control_period)))
         self._setup, self._controller, self._world, self._began = setup, controller, world, began
         self._held: set[int] = set()
-        self._seen: tuple[PrivilegedView, FloatArray] = (view, commands)
+        self._seen: _Seen = view, wanted, commands
+        self._sensed = None
         self._publish(held=True)
 
     def _advance(self) -> None:
@@ -320,13 +343,13 @@ class Session:
         world = self._world
         view = world.observe()
         try:
-            commands = np.array(self._controller.command(view))
+            wanted, commands = map(np.array, decide(self._controller, view))
             commands[0, sorted(self._held)] = 0.0
             world.apply(commands, world.control_period)
         except TriformError as error:
             self._problem, self._paused = str(error), True
             return
-        self._seen = view, commands
+        self._seen = view, wanted, commands
         self._publish()
 
     def _publish(self, held: bool = False) -> None:

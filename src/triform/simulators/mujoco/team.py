@@ -162,17 +162,22 @@ class MujocoTeam:
             TriformError: If there is no such world or the pose is not three finite numbers.
         """
         self._check_world(world)
-        placed = as_array("numbers of a pose", pose)
-        if placed.shape != (3,) or not np.isfinite(placed).all():
-            raise TriformError(f"a robot cannot be placed at {placed}; a pose is three finite numbers")
+        placed = _checked_pose(pose)
         if self._active[world].all():
             self._grow()
         robot = int(np.flatnonzero(~self._active[world])[0])
-        self._active[world, robot] = True
-        self._motion.place(world, robot, placed)
-        self._approach()
-        self._senses.add_robot(world, robot, self.poses[world, robot])
+        self._place(world, robot, placed)
         return robot
+
+    def move_robot(self, world: int, robot: int, pose: ArrayLike) -> None:
+        """Put a robot elsewhere, at rest, as if it left and joined there with its own place along axis N.
+
+        Raises:
+            TriformError: If there is no such world or robot, or the pose is not three finite numbers.
+        """
+        placed = _checked_pose(pose)
+        self.remove_robot(world, robot)
+        self._place(world, robot, placed)
 
     def remove_robot(self, world: int, robot: int) -> None:
         """Take a robot out of one world; its scans become ``+inf`` and its pose ``NaN``.
@@ -187,6 +192,13 @@ class MujocoTeam:
         self._active[world, robot] = False
         self._park(world, robot)
         self._senses.remove_robot(world, robot)
+
+    def _place(self, world: int, robot: int, pose: FloatArray) -> None:
+        """Let a robot begin at ``pose``, shape (3,), at rest."""
+        self._active[world, robot] = True
+        self._motion.place(world, robot, pose)
+        self._approach()
+        self._senses.add_robot(world, robot, self.poses[world, robot])
 
     def picture(self, world: int = 0, width: int = 960, height: int = 720) -> MapArray:
         """Draw one world from above with MuJoCo's renderer: colours of shape (height, width, 3).
@@ -287,3 +299,10 @@ class MujocoTeam:
     def _check_world(self, world: int) -> None:
         if not 0 <= converted("world", world, int) < len(self._active):
             raise TriformError(f"there is no world {world}; worlds are 0 to {len(self._active) - 1}")
+
+
+def _checked_pose(pose: ArrayLike) -> FloatArray:
+    placed = as_array("numbers of a pose", pose)
+    if placed.shape != (3,) or not np.isfinite(placed).all():
+        raise TriformError(f"a robot cannot be placed at {placed}; a pose is three finite numbers")
+    return placed
