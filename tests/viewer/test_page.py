@@ -29,7 +29,7 @@ if not NEEDED:
         pytest.fail("there is no viser, Playwright or Chromium, and TRIFORM_REQUIRE_BROWSER is set", pytrace=False)
     pytest.skip("needs viser, Playwright and Chromium", allow_module_level=True)
 
-from playwright.sync_api import Browser, sync_playwright  # noqa: E402
+from playwright.sync_api import Browser, ConsoleMessage, sync_playwright  # noqa: E402
 from playwright.sync_api import Page as Tab  # noqa: E402
 
 from triform.viewer.film import FilmPage  # noqa: E402
@@ -43,6 +43,8 @@ WINDOW = {"width": 800, "height": 480}
 PHONE = {"width": 390, "height": 844}
 #: Browsers are slow without a graphics card on a busy machine [s].
 PATIENCE = 90.0
+#: What Chromium says of the library that turns viser's camera when it is busy; nothing of ours listens passively.
+PASSIVE = "Unable to preventDefault inside passive event listener invocation."
 FLAGS = (
     "--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--no-first-run", "--enable-unsafe-swiftshader", "--use-angle=swiftshader",
@@ -66,10 +68,16 @@ class Tabs:
     def open(self, address: str, window: Any = WINDOW) -> Tab:
         tab = self.browser.new_page(viewport=window)
         tab.set_default_timeout(1000 * PATIENCE)
-        tab.on("console", lambda message: self.errors.append(message.text) if message.type == "error" else None)
+        tab.on("console", self._note)
         tab.on("pageerror", lambda error: self.errors.append(str(error)))
         tab.goto(address)
         return tab
+
+    def _note(self, message: ConsoleMessage) -> None:
+        # viser takes back an image of which a busy browser has not loaded the last version yet.
+        replaced = message.location["url"].startswith("blob:")
+        if message.type == "error" and message.text != PASSIVE and not replaced:
+            self.errors.append(f"{message.location['url']}: {message.text}")
 
 
 @pytest.fixture
