@@ -69,6 +69,8 @@ def _received(page: LivePage, session: Session, address: str, seconds: float) ->
     stopped, sizes = threading.Event(), list[int]()
     drawing = threading.Thread(target=page.run, args=(stopped.is_set,))
     drawing.start()
+    # Steps by hand have paused it.
+    session.pause(False)
     session.start()
     try:
         with sync_playwright() as playwright:
