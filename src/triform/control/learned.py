@@ -88,7 +88,7 @@ class LearnedPolicy:
         Args:
             runtime: The policy.
             distance: Prescribed neighbour distance d* [m].
-            clock: Called whenever maps are made and the network is about to see them, to tell the time of the two.
+            clock: Called when maps are made, or need not be, and the network is next, to tell the time of the two.
 
         Raises:
             ConfigurationError: If the policy was not trained for the distance, or does not give body twists.
@@ -128,6 +128,8 @@ class LearnedPolicy:
         # An answer is what the network says, and whether the robot sees nobody.
         changed, answers = self._last.compare(view.scans, odometry, active, outputs + 1)
         asked = np.flatnonzero(changed)
+        if self._clock is not None and len(asked) == 0:
+            self._clock()
 
         def ask(first: int, last: int) -> None:
             for begin in range(first, last, SCANS_AT_ONCE):

@@ -106,7 +106,8 @@ def _quantised(graph: bytes, path: Path, weights: bytes) -> bytes:
     before = logging.root.manager.disable
     logging.disable(max(before, logging.WARNING))
     try:
-        quantize_dynamic(full, reduced, op_types_to_quantize=["Gemm", "MatMul"], weight_type=QuantType.QInt8)
+        # Products of unsigned numbers: with signed weights, processors without VNNI would saturate in 16 bits.
+        quantize_dynamic(full, reduced, op_types_to_quantize=["Gemm", "MatMul"], weight_type=QuantType.QUInt8)
     finally:
         logging.disable(before)
     return reduced.read_bytes()
