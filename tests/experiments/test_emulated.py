@@ -99,7 +99,7 @@ def test_fig_8_shows_the_runs_of_fig_7(tmp_path, listener, driven):
     assert len(driven) == 2
     run_reproduce(options(ReproduceConfig, what="fig8", seed=8, **given), listener)
     assert len(driven) == 4
-    names = ("fig7.png", "fig7.json", "fig7.parquet", "fig8.png", "fig8.json", "fig8.parquet")
+    names = {f"{figure}.{kind}" for figure in ("fig7", "fig8") for kind in ("png", "pdf", "json", "parquet")}
     assert {path.name for path in tmp_path.iterdir()} == {*names, "index.md", "index.html"}
     page = (tmp_path / "index.md").read_text()
     assert page.count("No real robot drove here") == 2

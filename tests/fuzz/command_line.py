@@ -53,7 +53,9 @@ SMALL = {
 #: Commands that work until they are interrupted, or for minutes whatever their options are.
 LONG = ("gallery", "train", "drive", "emulate", "bench")
 #: How often each command is called; those that load much or start processes are called less often.
-_WEIGHTS = dict.fromkeys(SMALL, 1.0) | dict.fromkeys(("train", "bench", "reproduce", "compare", "conditions"), 0.3)
+_WEIGHTS = dict.fromkeys(SMALL, 1.0) | dict.fromkeys(
+    ("train", "bench", "reproduce", "compare", "conditions", "gallery"), 0.3
+)
 
 NUMBERS = (
     "0", "1", "2", "3", "5", "-1", "0.5", "-0.5", "1e-300", "1e308", "1e400", "nan", "inf", "-inf", "1e7", "0x10",
