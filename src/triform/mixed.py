@@ -58,6 +58,11 @@ class MixedView(PrivilegedView):
             "the view"
         )
 
+    def part_of(self, robot: int) -> tuple[int, int]:
+        """Return which part a robot is in, and its index there along axis N."""
+        part = next(part for part, own in enumerate(self.robots) if own.start <= robot < own.stop)
+        return part, robot - self.robots[part].start
+
     def with_poses(self, poses: FloatArray) -> MixedView:
         """Return the view with other poses, shape (B, N, 3) [m, m, rad], in its parts too."""
         parts = [part.with_poses(poses[:, own]) for part, own in zip(self.parts, self.robots, strict=True)]

@@ -50,6 +50,10 @@ class LastStep(threading.local):
     def __init__(self) -> None:
         self._of: tuple[object, ...] = ()
 
+    def __reduce__(self) -> tuple[type[LastStep], tuple[()]]:
+        """Return a new one: a controller that travels remembers nothing."""
+        return LastStep, ()
+
     def compare(self, scans: Scan, beside: FloatArray, active: BoolArray, width: int) -> tuple[BoolArray, FloatArray]:
         """Compare a step with the last one, which it becomes.
 
@@ -76,3 +80,8 @@ class LastStep(threading.local):
     def keep(self) -> None:
         """Note that the new answers are there; without it they are asked for again."""
         self._known |= self._changed
+
+
+def robot_rows(values: FloatArray | None, robots: int, width: int) -> FloatArray:
+    """Values of all robots of all worlds, shape (M, width), contiguous; zeros where the view has none."""
+    return np.zeros((robots, width)) if values is None else np.ascontiguousarray(values).reshape(-1, width)

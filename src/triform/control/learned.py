@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from triform.control.last_step import LastStep
+from triform.control.last_step import LastStep, robot_rows
 from triform.control.scan_packer import SCANS_AT_ONCE, ScanPacker
 from triform.perception import occupancy_maps
 from triform.policy import GnnRuntime, PolicyRuntime, PolicySpec, describe_network, map_network
@@ -103,11 +103,8 @@ class LearnedPolicy:
         self._last = LastStep()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but the packer with its workspaces and the last step, which the first scan brings back."""
-        return self.__dict__ | {"_packed": None, "_last": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__ |= state | {"_last": LastStep()}
+        """Return all but the packer with its workspaces, which the first scan brings back."""
+        return self.__dict__ | {"_packed": None}
 
     @property
     def description(self) -> dict[str, Any]:
@@ -123,9 +120,9 @@ class LearnedPolicy:
         packer = self._packer_for(view.scans)
         active = view.active.reshape(-1)
         ranges = view.scans.ranges.reshape(-1, view.scans.config.rays)
-        odometry = np.zeros((len(ranges), 3)) if view.odometry is None else view.odometry.reshape(-1, 3)
+        odometry = robot_rows(view.odometry, len(ranges), 3)
         outputs = self._network.outputs
-        # An answer is what the network says, and whether the robot sees nobody.
+        # An answer is what the network says, and whether the robot's map is empty.
         changed, answers = self._last.compare(view.scans, odometry, active, outputs + 1)
         asked = np.flatnonzero(changed)
         if self._clock is not None and len(asked) == 0:

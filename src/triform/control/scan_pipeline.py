@@ -21,7 +21,7 @@ from triform.control.detection import (
     ray_directions,
     require_noise,
 )
-from triform.control.last_step import LastStep
+from triform.control.last_step import LastStep, robot_rows
 from triform.control.triangulating import TriangulatingLaw
 from triform.control.triangulating_kernels import law_workspace, triangulate
 from triform.geometry.gabriel import gabriel_into
@@ -134,11 +134,6 @@ def _triangulate_robots(seen, distance, law, max_speed, noise, out, first, last)
             _triangulating_command(centres, count, distance, law, max_speed, noise[m], workspace, out[m])
 
 
-def _rows(values: FloatArray | None, robots: int, width: int) -> FloatArray:
-    """Values of all robots, shape (M, width); zeros where the view has none."""
-    return np.zeros((robots, width)) if values is None else np.ascontiguousarray(values).reshape(-1, width)
-
-
 def _describe_body(body: Body) -> dict[str, Any] | str:
     """Return a footprint as plain JSON values."""
     if body == UNKNOWN_BODY:
@@ -201,13 +196,6 @@ class ScanPipeline:
         self._law = law
         self._last = LastStep()
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all but the last step."""
-        return self.__dict__ | {"_last": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__ |= state | {"_last": LastStep()}
-
     @property
     def description(self) -> dict[str, Any]:
         """Name and settings, plain JSON values."""
@@ -227,7 +215,7 @@ class ScanPipeline:
         scan = view.scans
         ranges = np.ascontiguousarray(scan.ranges).reshape(-1, scan.config.rays)
         active = view.active.reshape(-1)
-        odometry, noise = _rows(view.odometry, len(ranges), 3), _rows(view.noise, len(ranges), 2)
+        odometry, noise = robot_rows(view.odometry, len(ranges), 3), robot_rows(view.noise, len(ranges), 2)
         asked, out = self._last.compare(scan, np.concatenate([odometry, noise], axis=1), active, 3)
         sight = (ranges, asked, odometry, self._footprint, self._noise, ray_directions(scan), scan.config.angle_min)
         distance, gain, max_speed = self._springs

@@ -87,7 +87,7 @@ def emulated_teams(scenario: Scenario, seed: int, starts: int) -> list[EmulateCo
 def drive_options(scenario: Scenario, controller: ControllerSpec) -> list[str]:
     """Return options of every ``triform drive`` of emulated robots."""
     guard = ["--no-guard"] if scenario.guard == "none" else []
-    # Emulated wheels hurt nobody, so the commands of a busy computer may be late.
+    # Emulated robots endanger no people, so the commands of a busy computer may be late.
     return ["--controller", controller.label, "--watchdog", "2", *guard]
 
 

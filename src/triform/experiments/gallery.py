@@ -28,7 +28,7 @@ from triform.report.page import Section, spell_command, write_pages
 from triform.report.tables import require_parquet
 from triform.types import convert_fields
 
-#: Pictures of a page are this wide and have so many colours: they are read, not measured.
+#: Largest width [pixels] and number of colours of the page's pictures.
 _WIDTH, _COLOURS = 1400, 128
 #: Runs of the contact sheet.
 _RUNS = 40

@@ -20,7 +20,7 @@ from triform.evaluation.metrics import TOLERANCE
 from triform.evaluation.rollout import Trajectory
 from triform.figures.film import FRAME_MS, write_film
 from triform.figures.runs import Scene, present
-from triform.figures.sensing import Sensing, central_robot, sense_again
+from triform.figures.sensing import RobotSight, central_robot, sense_again
 from triform.figures.sight import MapDrawing, ScanDrawing
 from triform.figures.style import (
     BLUE,
@@ -125,7 +125,7 @@ class _Board:
     """One figure in which only what moves is drawn anew from frame to frame, many times faster than all."""
 
     def __init__(
-        self, figure: Figure, trajectory: Trajectory, scene: Scene, robot: int, first: Sensing, title: str
+        self, figure: Figure, trajectory: Trajectory, scene: Scene, robot: int, first: RobotSight, title: str
     ) -> None:
         colours = robot_colours(trajectory.poses.shape[2])
         self.strict = assess(trajectory.positions[0], scene.distance, np.inf, trajectory.active[0])
@@ -158,7 +158,7 @@ class _Board:
     def _moving(self) -> list[Any]:
         return [artist for panel in self.panels for artist in panel.artists] + [self.now]
 
-    def draw(self, record: int, sensing: Sensing) -> Colours:
+    def draw(self, record: int, sensing: RobotSight) -> Colours:
         """Draw one record; shape (H, W, 3)."""
         for panel in self.panels:
             panel.show(record, sensing)
@@ -197,7 +197,7 @@ class _TeamPanel:
         axes.add_line(self.chosen)
         self.artists = (self.graph.triangles, self.trails, *self.graph.lines, self.bodies, self.fronts, self.chosen)
 
-    def show(self, record: int, sensing: Sensing) -> None:  # noqa: ARG002
+    def show(self, record: int, sensing: RobotSight) -> None:  # noqa: ARG002
         """Draw the team at a record."""
         robots = present(self.trajectory, record)
         poses = self.trajectory.poses[0, record, robots]
@@ -222,7 +222,7 @@ class _SightPanel:
     def __init__(self, drawing: ScanDrawing | MapDrawing) -> None:
         self.drawing, self.artists = drawing, drawing.artists
 
-    def show(self, record: int, sensing: Sensing) -> None:  # noqa: ARG002
+    def show(self, record: int, sensing: RobotSight) -> None:  # noqa: ARG002
         """Draw a moment."""
         self.drawing.show(sensing)
 
@@ -256,7 +256,7 @@ class _ErrorPanel:
             axes.add_line(line)
         self.artists = (self.shade, self.curve, self.dot)
 
-    def show(self, record: int, sensing: Sensing) -> None:  # noqa: ARG002
+    def show(self, record: int, sensing: RobotSight) -> None:  # noqa: ARG002
         """Draw the error up to a record."""
         now = self.time[record]
         past = [(begun, min(over, now)) for begun, over in zip(self.begun, self.over, strict=True) if begun < now]

@@ -62,7 +62,7 @@ def write_film(frames: Iterable[Colours], samples: Sequence[Colours], gif: Path,
 
 
 def palette_of(image: Image.Image, colours: int) -> Colours:
-    """Return a palette of at most so many colours for an image; those of the style keep theirs, shape (K, 3)."""
+    """Return a palette of at most ``colours`` colours for an image, those of the style among them, shape (K, 3)."""
     own = np.array([rgb(colour) for colour in ("#ffffff", *SERIES, INK, HELD)])
     few = image.quantize(colours - len(own), Image.Quantize.MEDIANCUT, kmeans=1, dither=Image.Dither.NONE)
     found = np.array(few.getpalette(), dtype=np.uint8).reshape(-1, 3)

@@ -18,6 +18,7 @@ from triform.evaluation.rollout import Trajectory
 from triform.figures.paper import draw_snapshot, snapshot_records
 from triform.figures.runs import Scene, present
 from triform.figures.style import (
+    FRONT_UP,
     GREEN,
     GREY,
     bounds,
@@ -30,12 +31,10 @@ from triform.figures.style import (
 from triform.policy import PolicySpec
 from triform.types import ConfigurationError, FloatArray, MapArray
 
-#: Below a snapshot are the maps of so many robots at most.
+#: Robots whose maps fit below a snapshot.
 MOST_MAPS = 9
 #: Between two maps, as a share of the side of all.
 _GAP = 0.04
-#: Front of a robot's own frame: up.
-_UPWARDS = np.array([[0.0, 0.0, np.pi / 2]])
 
 
 def figure_7_maps(
@@ -129,7 +128,7 @@ def _draw_map(axes: Axes, occupied: MapArray, half: float, robot: int, scene: Sc
     axes.imshow(upright, extent=extent, cmap=ListedColormap([colour]), interpolation="nearest", zorder=2)
     axes.add_patch(Circle((0, 0), scene.distance, facecolor="none", edgecolor=GREEN, linewidth=0.8, alpha=0.45))
     own = scene.footprints(np.array([robot]))
-    body: FloatArray = footprint_outlines(_UPWARDS, own)[0]
+    body: FloatArray = footprint_outlines(FRONT_UP, own)[0]
     axes.add_collection(PolyCollection([body], facecolors=[GREY], linewidths=0, zorder=3))
-    axes.add_collection(LineCollection(heading_marks(_UPWARDS, own), colors="white", linewidths=0.8, zorder=4))
+    axes.add_collection(LineCollection(heading_marks(FRONT_UP, own), colors="white", linewidths=0.8, zorder=4))
     axes.set(xlim=(half, -half), ylim=(-half, half), aspect="equal")

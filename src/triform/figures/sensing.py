@@ -1,26 +1,25 @@
-"""What one robot sees: its scan in the world, its occupancy map, and what it makes of them."""
+"""What one robot sees: the returns of its LiDAR in the world, and its occupancy map."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
-from triform.control import ControllerSpec, bright_returns, weights_folder
+from triform.control import ControllerSpec, bright_returns, view_maps, weights_folder
 from triform.evaluation.rollout import Trajectory
 from triform.geometry import body_to_world
 from triform.mixed import MixedView
-from triform.perception import occupancy_maps
-from triform.policy import PolicySpec, read_spec
+from triform.policy import read_spec
 from triform.simulation import Arena, Composition, Profile, World
-from triform.types import BoolArray, ConfigurationError, FloatArray, MapArray, PrivilegedView, Scan
+from triform.types import BoolArray, ConfigurationError, FloatArray, MapArray, PrivilegedView, Scan, View
 
 
-@dataclass(frozen=True)
-class Sensing:
-    """What a robot sees, and its command.
+@dataclass(frozen=True, eq=False)
+class RobotSight:
+    """What a robot sees at one moment.
 
     Attributes:
         pose: Where it was when it took its scan [m, m, rad], shape (3,).
@@ -30,7 +29,6 @@ class Sensing:
         occupancy: Its occupancy map, shape (H, W); ``None`` where the shipped policy can make none of its scans.
         patch: Cells along a side of a patch of the map.
         half_extent: Distance from the robot to the map's edge [m].
-        command: Its body twist [m/s, m/s, rad/s], shape (3,).
     """
 
     pose: FloatArray
@@ -40,7 +38,6 @@ class Sensing:
     occupancy: MapArray | None
     patch: int
     half_extent: float
-    command: FloatArray
 
     @property
     def hits_body(self) -> FloatArray:
@@ -48,57 +45,27 @@ class Sensing:
         return body_to_world(self.hits - self.pose[:2], -self.pose[2])
 
 
-def sense(
-    view: PrivilegedView,
-    commands: FloatArray,
-    robot: int,
-    controller: ControllerSpec,
-    distance: float,
-    min_intensity: float | None = None,
-    world: int = 0,
-) -> Sensing:
-    """Return what one robot sees.
+def place_returns(view: PrivilegedView, robot: int, world: int = 0) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Return where the rays of one robot's scan ended.
 
     Args:
-        view: What the team sees.
-        commands: Its body twists, shape (B, N, 3).
+        view: What a team of one kind sees.
         robot: Index of the robot along axis N.
-        controller: Who steers; the map is that of its policy, or of the default one.
-        distance: Prescribed neighbour distance d* [m].
-        min_intensity: Intensity from which a return is of a robot, if the scans say how bright they are.
-        world: Index of the robot's world along axis B.
+        world: Index of its world along axis B.
+
+    Returns:
+        (pose at which it took the scan [m, m, rad], shape (3,); which rays returned, shape (R,); where they ended in
+        the world frame [m], shape (R, 2), at the robot for those that did not return).
     """
-    part, index = view, robot
-    if isinstance(view, MixedView):
-        part, index = next(
-            (each, robot - own.start)
-            for each, own in zip(view.parts, view.robots, strict=True)
-            if own.start <= robot < own.stop
-        )
-    scans = part.scans
-    bright = None if scans.intensities is None else scans.intensities[world, index]
-    scan = Scan(np.asarray(scans.ranges[world, index], dtype=np.float64), scans.config, bright)
-    ranges = scan.ranges
-    seen = ranges if min_intensity is None else bright_returns(scan, min_intensity).ranges
-    pose = np.array(part.poses[world, index])
-    if part.odometry is not None:
-        way = part.odometry[world, index]
+    ranges = np.asarray(view.scans.ranges[world, robot], dtype=np.float64)
+    pose = np.array(view.poses[world, robot])
+    if view.odometry is not None:
+        way = view.odometry[world, robot]
         pose[2] -= way[2]
         pose[:2] -= body_to_world(way[None, :2], pose[2])[0]
-    returned = np.isfinite(ranges)
-    angles, lengths = scan.config.angles[returned], ranges[returned, None]
-    hits = pose[:2] + body_to_world(lengths * np.column_stack([np.cos(angles), np.sin(angles)]), pose[2])
-    spec = _spec(controller.weights if controller.name == "policy" else None)
-    occupancy, extent = None, 0.0
-    try:
-        used, config = spec.views(scan.config, distance)
-    except ConfigurationError:
-        pass
-    else:
-        occupancy, extent = occupancy_maps(Scan(seen, used), config), config.half_extent
-    patch = getattr(spec.network, "patch", 0)
-    dim = ~np.isfinite(seen[returned])
-    return Sensing(pose, hits, dim, scan.config.range_max, occupancy, patch, extent, np.array(commands[world, robot]))
+    angles, returned = view.scans.config.angles, np.isfinite(ranges)
+    rays = np.where(returned, ranges, 0.0)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    return pose, returned, pose[:2] + body_to_world(rays, pose[2])
 
 
 def sense_again(
@@ -109,7 +76,7 @@ def sense_again(
     arena: Arena,
     controller: ControllerSpec,
     distance: float,
-) -> list[Sensing]:
+) -> list[RobotSight]:
     """Return what a robot sees from where it was at records of the first run, whatever moved it.
 
     Scans are cast anew, all rays at once and without latency, with the errors of the robot's LiDAR.
@@ -124,18 +91,29 @@ def sense_again(
         distance: Prescribed neighbour distance d* [m].
     """
     chosen = np.asarray(records)
-    held = np.concatenate([trajectory.commands[0], trajectory.commands[0, -1:]])[chosen]
-    active = trajectory.active[0, chosen]
     seeds = np.random.SeedSequence(0).spawn(len(chosen))
-    world = World(trajectory.poses[0, chosen], team.changed(_at_once), arena, seeds, active)
-    view, least = world.observe(), least_intensity(team, robot, active.shape[1])
-    return [sense(view, held, robot, controller, distance, least, each) for each in range(len(chosen))]
-
-
-def least_intensity(team: Composition, robot: int, robots: int) -> float | None:
-    """Return from which intensity one of so many robots takes a return for a robot; ``None`` for any."""
-    kinds = zip(team.profiles, team.slices(robots), strict=True)
-    return next(profile.lidar.min_intensity for profile, own in kinds if own.start <= robot < own.stop)
+    world = World(trajectory.poses[0, chosen], team.changed(_at_once), arena, seeds, trajectory.active[0, chosen])
+    view, kind, index = world.observe(), 0, robot
+    if isinstance(view, MixedView):
+        kind, index = view.part_of(robot)
+        view = view.parts[kind]
+    scans, threshold = view.scans, team.profiles[kind].lidar.min_intensity
+    seen = scans if threshold is None else bright_returns(scans, threshold)
+    own = slice(index, index + 1)
+    alone = View(Scan(seen.ranges[:, own], seen.config), view.active[:, own], view.time)
+    spec = read_spec(weights_folder(controller.weights if controller.name == "policy" else None))
+    maps: MapArray | None = None
+    extent = 0.0
+    with suppress(ConfigurationError):
+        maps, config = view_maps(alone, spec, distance)
+        extent = config.half_extent
+    patch, sights = getattr(spec.network, "patch", 0), []
+    for each in range(len(chosen)):
+        pose, returned, places = place_returns(view, index, each)
+        dim = ~np.isfinite(seen.ranges[each, index, returned])
+        occupancy = None if maps is None else maps[each, 0]
+        sights.append(RobotSight(pose, places[returned], dim, scans.config.range_max, occupancy, patch, extent))
+    return sights
 
 
 def central_robot(trajectory: Trajectory) -> int:
@@ -149,8 +127,3 @@ def central_robot(trajectory: Trajectory) -> int:
 def _at_once(profile: Profile) -> Profile:
     """Return a robot whose LiDAR measures all rays at once, and is heard at once."""
     return replace(profile, latency=0.0, lidar=replace(profile.lidar, rolling=False))
-
-
-@lru_cache
-def _spec(weights: str | None) -> PolicySpec:
-    return read_spec(weights_folder(weights))

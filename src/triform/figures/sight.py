@@ -15,8 +15,9 @@ from matplotlib.patches import Circle, Patch
 from triform.control import ControllerSpec
 from triform.evaluation.rollout import Trajectory
 from triform.figures.runs import Scene, draw_formation, present
-from triform.figures.sensing import Sensing, central_robot, sense_again
+from triform.figures.sensing import RobotSight, central_robot, sense_again
 from triform.figures.style import (
+    FRONT_UP,
     GREY,
     HELD,
     INK,
@@ -33,7 +34,6 @@ from triform.simulation import Composition
 #: When a robot is shown [s], while it still has far to go; at the end of a shorter run.
 MOMENT = 2.0
 _GRID = "#c9c9c9"
-_FORWARD = np.array([[0.0, 0.0, np.pi / 2]])
 
 
 class ScanDrawing:
@@ -50,7 +50,7 @@ class ScanDrawing:
             reach: How far its LiDAR looks [m].
         """
         axes.add_patch(Circle((0, 0), reach, facecolor="none", edgecolor=GREY, linewidth=0.8))
-        (body,) = footprint_outlines(_FORWARD, scene.footprints(np.array([robot])))
+        (body,) = footprint_outlines(FRONT_UP, scene.footprints(np.array([robot])))
         axes.fill(*body.T, color=colour, zorder=4)
         axes.set_xlim(-1.02 * reach, 1.02 * reach)
         axes.set_ylim(-1.02 * reach, 1.02 * reach)
@@ -65,7 +65,7 @@ class ScanDrawing:
         axes.add_line(self._dim)
         axes.add_line(self._hits)
 
-    def show(self, sensing: Sensing) -> None:
+    def show(self, sensing: RobotSight) -> None:
         """Draw a scan; grey are returns that are too dim for a robot."""
         forward, left = sensing.hits_body.T
         points = np.column_stack([-left, forward])
@@ -78,7 +78,7 @@ class ScanDrawing:
 class MapDrawing:
     """The occupancy map of one robot, forward up, with the patches of its network."""
 
-    def __init__(self, axes: Axes, sensing: Sensing, colour: Any) -> None:
+    def __init__(self, axes: Axes, sensing: RobotSight, colour: Any) -> None:
         """Draw the map of a first moment, or say that there is none.
 
         Args:
@@ -106,7 +106,7 @@ class MapDrawing:
         axes.add_line(own)
         self.artists = (self._image, grid, own)
 
-    def show(self, sensing: Sensing) -> None:
+    def show(self, sensing: RobotSight) -> None:
         """Draw a map."""
         if sensing.occupancy is not None:
             self._image.set_data(map_colours(sensing.occupancy, sensing.patch))
@@ -153,7 +153,7 @@ def sight_figure(trajectory: Trajectory, scene: Scene, team: Composition, contro
     return figure
 
 
-def _draw_rays(axes: Axes, sensing: Sensing) -> None:
+def _draw_rays(axes: Axes, sensing: RobotSight) -> None:
     """Draw the returns of a robot where they are in the world, and how far it looks."""
     place = sensing.pose[:2]
     for colour, hits in ((GREY, sensing.hits[sensing.dim]), (VERMILLION, sensing.hits[~sensing.dim])):

@@ -48,6 +48,8 @@ HELD = "#cfe6f5"
 
 #: Three bytes per colour, shape (..., 3).
 Colours = NDArray[np.uint8]
+#: Pose of a robot in its own frame when its front is drawn upwards, shape (1, 3).
+FRONT_UP = np.array([[0.0, 0.0, np.pi / 2]])
 
 #: Edges this much off d* have the full colour of too short or too long ones; up to here they have that of d*.
 _OFF, _RIGHT = 0.35, 0.04

@@ -9,7 +9,7 @@ import numpy as np
 from triform.control import ControllerSpec, bright_returns, free_velocities
 from triform.evaluation.filters import team_settings
 from triform.evaluation.scenario import Scenario
-from triform.geometry import body_to_world
+from triform.figures.sensing import place_returns
 from triform.mixed import MixedView
 from triform.types import FloatArray, PrivilegedView
 from triform.viewer.reading import Reading, policy_reader
@@ -66,21 +66,11 @@ def sense(
         controller: Who steers; the map is that of its policy, or of the default one.
         scenario: Everything else about the run.
     """
-    part, index, kind = view, robot, 0
+    part, kind, index = view, 0, robot
     if isinstance(view, MixedView):
-        kind = next(kind for kind, own in enumerate(view.robots) if own.start <= robot < own.stop)
-        part, index = view.parts[kind], robot - view.robots[kind].start
-    ranges = np.asarray(part.scans.ranges[0, index], dtype=np.float64)
-    now = np.array(part.poses[0, index])
-    then = now.copy()
-    if part.odometry is not None:
-        way = part.odometry[0, index]
-        then[2] -= way[2]
-        then[:2] -= body_to_world(way[None, :2], then[2])[0]
-    angles = part.scans.config.angles
-    returned = np.isfinite(ranges)
-    rays = np.where(returned, ranges, 0.0)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
-    places = then[:2] + body_to_world(rays, then[2])
+        kind, index = view.part_of(robot)
+        part = view.parts[kind]
+    _, returned, places = place_returns(part, index)
     drive = scenario.team.profiles[kind].drive
     free, limiting = None, np.zeros(0, dtype=np.int64)
     if scenario.guard == "filter":
@@ -90,7 +80,7 @@ def sense(
         free, by = free_velocities(part, index, rules, turn, _FASTEST)
         limiting = np.unique(by[by >= 0])
     return Sensing(
-        now,
+        np.array(part.poses[0, index]),
         places[returned],
         part.scans.config.range_max,
         _read(part, index, controller, scenario, kind),
